@@ -91,19 +91,22 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 def to_json(data: object, ascii: bool = False) -> str:
     """JSON text of a result, ending with a line feed: NumPy values as numbers and lists, nan and inf as null."""
-    return json.dumps(_plain(data), indent=2, ensure_ascii=ascii, allow_nan=False) + "\n"
+    return json.dumps(plain(data), indent=2, ensure_ascii=ascii, allow_nan=False) + "\n"
 
 
-def _plain(value: object) -> object:
+def plain(value: object, digits: int | None = None) -> object:
+    """NumPy values as JSON has them: floats at so many significant digits, those that are not finite as null."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item, digits) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
+        return [plain(item, digits) for item in value]
     if isinstance(value, Path):
         return str(value)
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return plain(value.tolist(), digits)
+    if isinstance(value, float):
+        return None if not math.isfinite(value) else value if digits is None else float(f"{value:.{digits}g}")
+    return value
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

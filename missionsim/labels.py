@@ -32,9 +32,10 @@ class Labels:
     @classmethod
     def joined(cls, parts: Sequence[Labels]) -> Labels:
         """Labels of several columns, one behind the other."""
-        names = tuple(dict.fromkeys(name for part in parts for name in part.names))
-        codes = [np.array([*map(names.index, part.names), -1])[part.codes] for part in parts]
-        return cls(np.concatenate(codes), names)
+        names: dict[str, int] = {}
+        tables = [[*(names.setdefault(name, len(names)) for name in part.names), -1] for part in parts]
+        codes = [np.array(table, dtype=np.int64)[part.codes] for table, part in zip(tables, parts, strict=True)]
+        return cls(np.concatenate(codes), tuple(names))
 
     def equals(self, name: str) -> NDArray[np.bool_]:
         """Where the text is `name`, shape (n,)."""

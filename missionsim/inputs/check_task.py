@@ -168,7 +168,7 @@ class _TaskCheck:
             if most is not None and taken > most and visit.value is None:
                 where, allowed = ("visits", index, "take_up"), f"at most {most:g} kg"
                 self.check.add(where, "more than the robot may carry", f"{taken:g} kg", allowed)
-            load += taken - (0.0 if visit.set_down is None else visit.set_down.value)
+            load += visit.load_kg
         if load < -1e-9 and not any(visit.value is not None for visit in task.visits):
             index = next(i for i in reversed(range(len(task.visits))) if task.visits[i].set_down is not None)
             got, allowed = f"{-load:g} kg too much over all visits", "as much as defaults.payload and take_up give"

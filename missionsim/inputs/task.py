@@ -74,6 +74,11 @@ class VisitSpec(Model):
         """Name of the visit; its place where it has none of its own."""
         return self.name or self.place
 
+    @property
+    def load_kg(self) -> float:
+        """What the visit adds to the load; below zero where it takes off."""
+        return (self.take_up.value if self.take_up else 0.0) - (self.set_down.value if self.set_down else 0.0)
+
 
 class SpeedRange(Model):
     """Speeds from one to another, evenly spaced."""

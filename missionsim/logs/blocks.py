@@ -105,13 +105,7 @@ def _cut(raw: RawTable, part: slice) -> RawTable:
 def _join(parts: list[Array | Labels]) -> Array | Labels:
     if not any(isinstance(part, Labels) for part in parts):
         return np.concatenate([part for part in parts if not isinstance(part, Labels)])
-    texts = [part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts]
-    names: dict[str, int] = {}
-    codes = []
-    for part in texts:
-        table = np.array([*(names.setdefault(name, len(names)) for name in part.names), -1], dtype=np.int64)
-        codes.append(table[part.codes])
-    return Labels(np.concatenate(codes), tuple(names))
+    return Labels.joined([part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts])
 
 
 def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -> None:

@@ -45,6 +45,11 @@ class Rows:
         """Time of the rows [s]."""
         return np.asarray(self.columns["time_s"])
 
+    def number(self, name: str) -> Array | None:
+        """A column of numbers; None where there is none of that name, or one of texts."""
+        data = self.columns.get(name)
+        return None if isinstance(data, Labels) else data
+
     def take(self, chosen: Bools | NDArray[np.int64]) -> None:
         """Keep or reorder rows."""
         self.columns = {name: data[chosen] for name, data in self.columns.items()}

@@ -80,14 +80,9 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
 
 def _fits_a_vehicle(rows: Rows, name: str) -> bool:
     """Whether a great speed or power is that of a car: the force between both is one that a vehicle has."""
-    speed = rows.columns.get("speed_m_s")
-    found = column_of(name)
-    if found is None or speed is None or isinstance(speed, Labels) or found[0].name not in ("speed_m_s", _POWER):
-        return False
-    powers = [
-        np.asarray(rows.columns[n]) for n in rows.columns if (c := column_of(n)) is not None and c[0].name == _POWER
-    ]
-    if not powers:
+    speed, found = rows.number("speed_m_s"), column_of(name)
+    powers = [np.asarray(data) for n, data in rows.columns.items() if (c := column_of(n)) and c[0].name == _POWER]
+    if found is None or speed is None or found[0].name not in ("speed_m_s", _POWER) or not powers:
         return False
     fast = float(np.quantile(np.abs(speed[:_SAMPLE]), 0.95))
     force = float(np.quantile(np.abs(powers[0][:_SAMPLE]), 0.95)) / max(fast, 1e-9)
@@ -157,15 +152,12 @@ def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, lo
     ratio = value / reference
     spread = 1.35 if loose else 1.15
     near = {w: f for w, f in _RATIOS.items() if f * ratio > 0 and 1 / spread < ratio / f < spread}
-    if near and name == "accel_m_s2":
-        told = f"{ratio:.2g} times {other}: another unit or sign of either (km/h, mph, g?), or of time_s?"
-        rows.remark("unit", name, told, _LEFT, "error")
-        return
     if near:
-        words = min(near, key=lambda one: abs(np.log(ratio / near[one])))
-        rows.remark("unit", name, f"{words} times {other}: another unit or sign?", _LEFT, "error")
-        return
-    if not loose and not 0.8 < ratio < 1.25:
+        told = f"{min(near, key=lambda one: abs(np.log(ratio / near[one])))} times {other}: another unit or sign?"
+        if name == "accel_m_s2":
+            told = f"{ratio:.2g} times {other}: another unit or sign of either (km/h, mph, g?), or of time_s?"
+        rows.remark("unit", name, told, _LEFT, "error")
+    elif not loose and not 0.8 < ratio < 1.25:
         rows.remark("disagreement", name, f"{ratio:.3g} times {other}", "left as it is")
 
 
@@ -186,8 +178,8 @@ def _sign(
 
 def _rises(rows: Rows, power_w: Array) -> bool:
     """Whether power goes up with the speed, as it does not where its sign is wrong."""
-    speed = rows.columns.get("speed_m_s")
-    if speed is None or isinstance(speed, Labels) or not (np.ptp(speed) > 0.0 and np.ptp(power_w) > 0.0):
+    speed = rows.number("speed_m_s")
+    if speed is None or not (np.ptp(speed) > 0.0 and np.ptp(power_w) > 0.0):
         return False
     return bool(np.corrcoef(np.abs(speed[: len(power_w)]), power_w)[0, 1] > _GOES_ALONG)
 
@@ -198,8 +190,8 @@ _GOES_ALONG = 0.2
 
 def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
     """Tell a meter that shows exactly zero while the robot drives."""
-    speed = rows.columns.get("speed_m_s")
-    if speed is None or isinstance(speed, Labels):
+    speed = rows.number("speed_m_s")
+    if speed is None:
         return
     dead = (power_w == 0.0) & (np.abs(speed) > 10 * STILL_SPEED_M_S)
     count = int(dead.sum())
@@ -240,8 +232,8 @@ def check_ceiling(rows: Rows, battery: str, power_w: Array) -> None:
 
 def check_order(rows: Rows) -> None:
     """Refuse a speed that has nothing to do with itself a row earlier: the rows are in no order."""
-    data, time = rows.columns.get("speed_m_s"), rows.time
-    if data is None or isinstance(data, Labels) or len(data) < 100:
+    data, time = rows.number("speed_m_s"), rows.time
+    if data is None or len(data) < 100:
         return
     speed = data[:_SAMPLE]
     spread = float(np.std(speed))
@@ -256,10 +248,8 @@ def check_order(rows: Rows) -> None:
 def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     """Tell a speed or yaw rate whose noise at rest is above the limits of standing still. `power_w`: what the battery
     of the motors delivers, which says what is rest where no speed does."""
-    number = {name: rows.columns.get(name) for name in ("speed_m_s", "yaw_rate_rad_s")}
-    speed, yaw = (
-        None if data is None or isinstance(data, Labels) else np.abs(data[:_SAMPLE]) for data in number.values()
-    )
+    number = [rows.number(name) for name in ("speed_m_s", "yaw_rate_rad_s")]
+    speed, yaw = (None if data is None else np.abs(data[:_SAMPLE]) for data in number)
     if speed is None:
         return
     turning = np.zeros_like(speed) if yaw is None else yaw
@@ -330,8 +320,8 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
     """
     result: dict[str, Bools] = {}
     time, none = rows.time, np.zeros(len(rows.time), dtype=bool)
-    speed = rows.columns.get("speed_m_s")
-    parked = none if speed is None or isinstance(speed, Labels) else np.abs(speed) < STILL_SPEED_M_S
+    speed = rows.number("speed_m_s")
+    parked = none if speed is None else np.abs(speed) < STILL_SPEED_M_S
     for name, data in rows.columns.items():
         found = column_of(name)
         if isinstance(data, Labels) or found is None or found[0].kind != "number" or fresh_of(name) or len(data) < 20:

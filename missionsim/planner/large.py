@@ -103,8 +103,7 @@ def _loads(site: Site) -> list[float] | None:
     found = {round(site.order.load_kg, 9)}
     most = math.inf if site.task.most_kg is None else site.task.most_kg
     for visit in site.task.visits:
-        change = (visit.take_up.value if visit.take_up else 0.0) - (visit.set_down.value if visit.set_down else 0.0)
-        found |= {round(load + change, 9) for load in found}
+        found |= {round(load + visit.load_kg, 9) for load in found}
         if len(found) > MOST_LOADS**2:
             return None
     loads = sorted(load for load in found if 0.0 <= load <= most * (1.0 + 1e-12))
@@ -161,9 +160,7 @@ def _cut(
 def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
     """Orders that keep to before and after, the best first."""
     visits = site.task.visits
-    seconds = np.zeros_like(site.weights)
-    seconds[0] = 1.0
-    fast = matrix(site, site.order.load_kg, seconds)
+    fast = matrix(site, site.order.load_kg, np.eye(len(site.weights))[0])
     stands = [float(site.standing(1 + i, site.order.load_kg)[0, 0]) for i in range(len(visits))]
     earlier = earlier_of(visits)
     scale = LATE * float(np.nanmean(apart[np.isfinite(apart)])) / max(float(np.nanmean(fast[np.isfinite(fast)])), 1e-9)
@@ -176,8 +173,7 @@ def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
             done.add(i)
         load = site.order.load_kg
         for i in order:
-            visit = visits[i]
-            load += (visit.take_up.value if visit.take_up else 0.0) - (visit.set_down.value if visit.set_down else 0.0)
+            load += visits[i].load_kg
             most = site.task.most_kg
             if load < -1e-9 or (most is not None and load > most * (1 + 1e-12)):
                 return False

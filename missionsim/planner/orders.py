@@ -55,11 +55,7 @@ class Order:
         """Load carried in a state."""
         if not self._changes:
             return self.load_kg
-        load = self.load_kg
-        for i in self.done(state):
-            visit = self.visits[i]
-            load += visit.take_up.value if visit.take_up is not None else 0.0
-            load -= visit.set_down.value if visit.set_down is not None else 0.0
+        load = self.load_kg + sum(self.visits[i].load_kg for i in self.done(state))
         return max(load, 0.0) if load > -1e-9 else load
 
     def done(self, state: int) -> list[int]:
@@ -70,16 +66,16 @@ class Order:
 
     def after(self, state: int) -> list[tuple[int, int]]:
         """Visits that may come next and the state after each."""
-        found = []
         if self.sequence is not None:
-            for position in range(state, len(self.sequence)):
-                found.append((self.sequence[position], position + 1))
-                if not self._optional[self.sequence[position]]:
-                    break
+            left = self.sequence[state:]
+            must = next((k for k, i in enumerate(left) if not self._optional[i]), len(left))
+            found = [(i, state + 1 + k) for k, i in enumerate(left[: must + 1])]
         else:
-            for i in range(len(self.visits)):
-                if not state >> i & 1 and not self._earlier[i] & self._needed & ~state and not self._later[i] & state:
-                    found.append((i, state | 1 << i))
+            found = [
+                (i, state | 1 << i)
+                for i in range(len(self.visits))
+                if not state >> i & 1 and not self._earlier[i] & self._needed & ~state and not self._later[i] & state
+            ]
         return [(i, after) for i, after in found if self._carries(after)]
 
     @cached_property

@@ -64,15 +64,9 @@ class Physics:
         batteries = self.setup.batteries
         self.names = tuple(batteries)
         self.capacity_wh = np.array([battery.capacity_j for battery in batteries.values()]) / J_PER_WH
-        self.initial_wh = (
-            np.array([float(battery.charge_j(battery.initial)) for battery in batteries.values()]) / J_PER_WH
-        )
-        self.reserve_wh = np.array(
-            [
-                float(battery.charge_j(battery.state_of(task.reserve_of(name)))) / J_PER_WH
-                for name, battery in batteries.items()
-            ]
-        )
+        self.initial_wh = np.array([float(one.charge_j(one.initial)) for one in batteries.values()]) / J_PER_WH
+        kept = [battery.charge_j(battery.state_of(task.reserve_of(name))) for name, battery in batteries.items()]
+        self.reserve_wh = np.array([float(joules) for joules in kept]) / J_PER_WH
         self.held_wh = np.zeros(len(self.names))
         self._infos = {info.name: info for info in self.setup.components}
         self._always = {info.name: info.units for info in self.setup.components if info.always_on}

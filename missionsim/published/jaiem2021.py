@@ -82,10 +82,8 @@ def table4_row(model: PowerModel, row: Row) -> dict[str, float]:
 
 def _table4(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
     for row in rows:
-        for name, value in row.items():
-            if name in ("row", "speed"):
-                continue
-            yield f"table4.r{int(row['row']):02d}.{name}", Ours(value)
+        for name in row.keys() - {"row", "speed"}:
+            yield f"table4.r{int(row['row']):02d}.{name}", Ours(row[name])
     yield "sec322.row2_speed", Ours(rows[2]["speed"], "velocity of path following in every other row")
 
 
@@ -203,20 +201,16 @@ def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
         key = f"table5.{experiment}.{velocity}"
         yield f"{key}.predicted", Ours(predicted)
         k = stretch[experiment, velocity]
-        yield (
-            f"{key}.experiment",
-            Ours(predicted * k, f"predicted with a path stretch of {k:.3f} from the scheme's other two velocities"),
-        )
+        note = f"predicted with a path stretch of {k:.3f} from the scheme's other two velocities"
+        yield f"{key}.experiment", Ours(predicted * k, note)
         printed = figures[f"{key}.experiment"].value
         # the errors of the QR-code runs follow from the cut predictions, those of the others from the uncut ones
         cut = experiment.startswith("qr")
         used = math.floor(predicted * 100.0 + 1e-9) / 100.0 if cut else predicted
         error = 100.0 * abs(printed - used) / printed
         errors.setdefault(experiment, []).append(error)
-        yield (
-            f"{key}.error",
-            Ours(error, "from the printed experiment and our prediction" + (" cut to two digits" if cut else "")),
-        )
+        note = "from the printed experiment and our prediction" + " cut to two digits" * cut
+        yield f"{key}.error", Ours(error, note)
     for velocity in dict.fromkeys(velocity for _, velocity in runs):
         driven: Any = mission(f"pioneer3dx/{CORRIDOR['fm']}_{round(float(velocity) * 100)}cm_s").defaults.speed
         yield f"table5.velocity.{velocity}", Ours(float(driven))

@@ -24,7 +24,7 @@ def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
     robot = shipped_robot("khepera3")
-    return dict(chain(_inputs(robot, figures), _tasks(figures), _savings(figures), _margin(figures)))
+    return dict(chain(_inputs(robot, figures), _tasks(), _savings(figures), _margin(figures)))
 
 
 def motion_power(speed_m_s: float, payload_kg: float = 0.0) -> float:
@@ -91,13 +91,11 @@ def _inputs(robot: Any, figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]
         yield key, Ours(min(speeds), "slowest lap of task B")
     yield "table1.khepera.power", Ours(motion_power(float(robot.body.max_speed)))
     named = figures["table1.khepera.power"].value
-    yield (
-        "table1.khepera.share",
-        Ours(100.0 * named / (named + static_power("wifi")), f"static power with WiFi {static_power('wifi'):.3f} W"),
-    )
+    wifi = static_power("wifi")
+    yield "table1.khepera.share", Ours(100.0 * named / (named + wifi), f"static power with WiFi {wifi:.3f} W")
 
 
-def _tasks(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
+def _tasks() -> Iterator[tuple[str, Ours]]:
     result = run(TASK_A["wifi"])
     spec = mission(TASK_A["wifi"])
     speed = float(spec.defaults.speed or 0.0)
@@ -111,13 +109,8 @@ def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
     slow_wh = crossing_energy(slow, "wifi")
     yield "saving.speed", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, "wifi"))))
     wifi, bluetooth = (run(TASK_A[name]).batteries["robot"].energy_wh for name in ("wifi", "bluetooth"))
-    yield (
-        "saving.bluetooth",
-        Ours(
-            float(khepera.saving(wifi, bluetooth)),
-            f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J",
-        ),
-    )
+    note = f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J"
+    yield "saving.bluetooth", Ours(float(khepera.saving(wifi, bluetooth)), note)
     yield "saving.no_radio", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, None))))
     static = figures["table1.khepera.power"].value * (100.0 / figures["table1.khepera.share"].value - 1.0)
 
@@ -125,25 +118,16 @@ def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
         return float(khepera.energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
 
     slow_j = moving_only(slow, static)
-    yield (
-        "saving.speed.table1",
-        Ours(
-            float(khepera.saving(slow_j, moving_only(fast, static))), f"static power {static:.3f} W, no standing time"
-        ),
-    )
+    note = f"static power {static:.3f} W, no standing time"
+    yield "saving.speed.table1", Ours(float(khepera.saving(slow_j, moving_only(fast, static))), note)
     # the 33 % give the difference of the radios; Bluetooth's own power is at least nought
     task = run(TASK_A["wifi"])
     moving_s = figures["taskA.tp"].value
     total_j = static * task.duration_s + motion_power(figures["taskA.speed"].value / 1000.0) * moving_s
     difference = figures["saving.bluetooth"].value / 100.0 * total_j / task.duration_s
     without = moving_only(fast, static - difference)
-    yield (
-        "saving.no_radio.from33",
-        Ours(
-            float(khepera.saving(slow_j, without)),
-            f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W",
-        ),
-    )
+    note = f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W"
+    yield "saving.no_radio.from33", Ours(float(khepera.saving(slow_j, without)), note)
 
 
 def _margin(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:

@@ -18,6 +18,8 @@ from typing import Any, Literal, TypeAlias, TypeGuard
 
 import numpy as np
 
+from missionsim.files import plain
+
 Tone = Literal["good", "warn", "bad", "neutral"]
 
 
@@ -124,6 +126,8 @@ STYLE: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("templates").joinpath("charts.json").read_text("utf-8")
 )
 """Plotly layout of every chart, and of every axis."""
+DIGITS = 6
+"""Significant digits of the numbers of charts."""
 COLOURS: tuple[str, ...] = tuple(STYLE["layout"]["colorway"])
 """Okabe and Ito's colours, told apart with any colour vision, and two more."""
 
@@ -185,21 +189,6 @@ def format_cell(value: object, digits: int = 4) -> str:
     return str(value)
 
 
-def plain(data: object) -> object:
-    """NumPy arrays and numbers as JSON values; floats at six significant digits, non-finite ones as null."""
-    if isinstance(data, Mapping):
-        return {str(key): plain(value) for key, value in data.items()}
-    if isinstance(data, np.ndarray):
-        return [plain(item) for item in data.tolist()]
-    if isinstance(data, (list, tuple)):
-        return [plain(item) for item in data]
-    if isinstance(data, np.generic):
-        return plain(data.item())
-    if isinstance(data, float):
-        return float(f"{data:.6g}") if math.isfinite(data) else None
-    return data
-
-
 def label(text: object) -> str:
     """Text of the user for a place in a chart where Plotly reads tags: escaped."""
     return html_lib.escape(str(text), quote=False)
@@ -210,7 +199,7 @@ def _chart(block: Chart) -> dict[str, Any]:
     for key in [*layout, "xaxis", "yaxis"]:
         if key.startswith(("xaxis", "yaxis")):
             layout[key] = {**STYLE["axis"], **layout.get(key, {})}
-    return {"data": plain(list(block.traces)), "layout": plain(layout)}
+    return {"data": plain(block.traces, DIGITS), "layout": plain(layout, DIGITS)}
 
 
 def _is_number(value: object) -> TypeGuard[int | float | str]:
