@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from missionsim.effects import law_models
+from missionsim.effects import named_models
 from missionsim.errors import InputError
 from missionsim.physics import Array, electrical, f64
 
@@ -72,7 +72,7 @@ class PowerPredictor:
             for load in component.loads:
                 if load.law is not None and getattr(load.law, "model", None) == "multicore_cpu":
                     given = {key: float(value) for key, value in load.law.parameters.items()}
-                    defaults = {p.name: p.default for p in law_models.law_models()["multicore_cpu"].parameters}
+                    defaults = {p.name: p.default for p in named_models.law_models()["multicore_cpu"].parameters}
                     own = {key.removeprefix(f"{self.battery}/{name}."): v for key, v in self.values.items()}
                     return {**defaults, **given, **{k: v for k, v in own.items() if k in defaults}}
         return None
@@ -124,7 +124,7 @@ class PowerPredictor:
         """Time per batch (PLPT), s. Raises InputError: a robot without an on-board computer under the law
         ``multicore_cpu``."""
         cov = {"speed_m_s": f64(speed_m_s), "cpu_freq_hz": f64(freq_hz), "complexity": f64(complexity)}
-        return f64(law_models.loop_time(cov, self._cpu()))
+        return f64(named_models.loop_time(cov, self._cpu()))
 
     def throughput(self, speed_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> Array:
         """Batches processed per second."""

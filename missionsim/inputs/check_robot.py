@@ -72,7 +72,7 @@ def _law(check: Checker, where: Where, law: LawSpec) -> None:
         own = [*law.parameters, *(["rate"] if law.rate is not None else [])]
         check.formulas({(*where, "power"): law.power}, own)
         return
-    from missionsim.effects.law_models import law_models
+    from missionsim.effects.named_models import law_models
 
     laws = law_models()
     if law.model is not None and check.known((*where, "model"), law.model, laws, "law"):
@@ -160,7 +160,7 @@ def _motion(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
             texts["motion", "standing"] = str(motion.standing)
         check.formulas(texts, motion.parameters)
         return
-    from missionsim.effects.motion_models import get_motion_model, motion_model_ids
+    from missionsim.effects.named_models import get_motion_model, motion_model_ids
 
     # the commonest first: listing all asks every installed package for models of its own
     if motion.model != "polynomial":

@@ -8,10 +8,9 @@ from typing import Any, cast
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.law_models import law_models
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
-from missionsim.effects.motion_models import get_motion_model
+from missionsim.effects.named_models import get_motion_model, law_models
 from missionsim.errors import InputError
 from missionsim.expressions import Expression, Place, compile_expression
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec

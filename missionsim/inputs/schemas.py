@@ -140,9 +140,8 @@ def _unit_of(node: Schema, definitions: dict[str, Schema]) -> str:
 
 def add_models(definitions: dict[str, Schema]) -> None:
     """Enumerate models, laws and effects, and the parameters that each has."""
-    from missionsim.effects.law_models import law_models
     from missionsim.effects.library import FLOORS, effect_ids, get_effect
-    from missionsim.effects.motion_models import get_motion_model, motion_model_ids
+    from missionsim.effects.named_models import get_motion_model, law_models, motion_model_ids
 
     if motion := definitions.get("MotionSpec"):
         ids = motion_model_ids()

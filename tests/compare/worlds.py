@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects import base_terms
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
-from missionsim.effects.motion_models import get_motion_model
+from missionsim.effects.named_models import get_motion_model
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, row_durations
 

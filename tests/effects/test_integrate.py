@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
-from missionsim.effects.motion_models import get_motion_model
+from missionsim.effects.named_models import get_motion_model
 from missionsim.effects.timeline import Timeline, integrate
 
 

@@ -14,8 +14,8 @@ import pytest
 
 PACKAGE = """\
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.law_models import LawModel
-from missionsim.effects.motion_models import MotionModel
+from missionsim.effects.named_models import LawModel
+from missionsim.effects.named_models import MotionModel
 
 WIND = Effect(
     "head_wind",

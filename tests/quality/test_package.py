@@ -14,7 +14,7 @@ import pytest
 import missionsim
 from missionsim.cli.app import COMMANDS, run_command
 from missionsim.effects.library import all_effects, effect_ids, execution_effects, get_effect
-from missionsim.effects.motion_models import get_motion_model, motion_model_ids
+from missionsim.effects.named_models import get_motion_model, motion_model_ids
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOW = ("pandas", "scipy", "matplotlib", "sklearn", "pyarrow", "networkx", "pint")
