@@ -14,8 +14,7 @@ import pytest
 
 PACKAGE = """\
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.named_models import LawModel
-from missionsim.effects.named_models import MotionModel
+from missionsim.effects.named_models import LawModel, MotionModel
 
 WIND = Effect(
     "head_wind",
@@ -103,12 +102,12 @@ def test_all_three_from_another_package(installed: dict[str, str], tmp_path: Pat
 
 
 def test_a_motion_model_of_the_package_is_one_file() -> None:
-    from missionsim.effects import motion_models
+    from missionsim.effects import named_models
 
-    here = Path(motion_models.__file__).parent
+    here = Path(named_models.__file__).parent
     files = {path.stem.removeprefix("motion_") for path in here.glob("motion_*.yaml")}
-    assert set(motion_models.motion_model_ids()) == files
+    assert set(named_models.motion_model_ids()) == files
     for id in files:
-        model = motion_models.get_motion_model(id)
+        model = named_models.get_motion_model(id)
         assert model.id == id
         assert model.terms
