@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
-from missionsim.identify.proposed import CLOCKS
+from missionsim.identify.proposed import CLOCKS, FAR_BETTER
 from missionsim.laws.adapter import Ground, Rows32, Sieve
 from missionsim.laws.gates import LEAST_RISE, LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
@@ -209,10 +209,16 @@ class Search:
         return Fitted(form, model, watts, log_likelihood(model) - self.without, self.penalty(form))
 
     def settled(self, fitted: Fitted) -> Fitted:
-        """The fit whose noise predicts left-out runs better: its own, or one that begins where the null ended."""
+        """The fit whose noise predicts left-out runs better: its own, one that begins where the null ended, or where
+        both fail, the usual (rows as long as the clock's lag blur what is switched, and an offset of each run that is
+        fitted hides a level that all of them share)."""
         other = self.fit(fitted.form, self.ground.model.noise)
         rise = max(fitted.rise, other.rise)
         better = other if other.errors.with_law < fitted.errors.with_law else fitted
+        if self.ground.model.squares is None:
+            model = self.ground.at_noise(self.ground.extended(fitted.watts), self.ground.usual())
+            usual = replace(better, model=model)
+            better = usual if usual.errors.with_law < FAR_BETTER * better.errors.with_law else better
         return replace(better, rise=rise)
 
     @cached_property

@@ -120,3 +120,27 @@ def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
     assert made is not None
     assert set(made.proposal.first.variables) == {"yaw_rate_rad_s"}
     assert made.proposal.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
+
+
+def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -> None:
+    """A camera, on and off, beside a base with a power at rest and a slow meter: likelihood alone lets the level go
+    that all runs share, and blames the rows in which the robot stops."""
+    rng, runs = np.random.default_rng(0), []
+    for number in range(8):
+        speed = np.repeat(rng.choice([0.0, 0.1, 0.2], 40), rng.integers(40, 150, 40))[:2700]
+        camera = np.repeat(rng.integers(0, 2, 9), 300)
+        power = np.where(speed > 0.0, 5.9, 5.2) + 5.0 * speed + 2.2 * camera
+        for i in range(1, 2700):
+            power[i] += 0.78 * (power[i - 1] - power[i])  # ten values a second, time constant 0.4 s
+        v, watt = speed.reshape(-1, 10).mean(axis=1), power.reshape(-1, 10).mean(axis=1)
+        measured = 0.104 * np.round((watt + 0.05 * rng.standard_normal(270)) / 0.104)
+        gradient = {"c4": 7.0 * (v > 0.0), "c3": 2.0 * v, "standing": 6.3 * (v == 0.0)}
+        time_s, base = np.arange(270) + 0.5, np.sum(list(gradient.values()), axis=0)
+        covariates = {"speed_m_s": v, "camera": camera[5::10].astype(float), "time_s": time_s}
+        columns = {"grade": np.zeros(270)}
+        runs.append(RunData(f"{number}", time_s, np.ones(270), measured, base, gradient, columns, covariates))
+    found = identify(runs, [Candidate("grade", ("grade",))], dict.fromkeys(("c3", "c4", "standing"), 1.0))
+    made = propose(found, [run.covariates for run in runs])
+    assert made is not None
+    assert made.proposal.first.variables == ("camera",)
+    assert made.proposal.first.k == pytest.approx(2.2, rel=0.1)
