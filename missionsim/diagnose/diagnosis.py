@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -185,16 +185,18 @@ def diagnose_battery(
     clock: Clock | None = None,
     seen: Examined | None = None,
     laws: bool = True,
+    tried: Collection[str] = (),
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
 
     `subject`, `split`, `battery`, `timeline`, `settings`, `segments`: as for `diagnose`. `clock`: at which held-out
     errors and series are told, so that several models can be held against each other; by default the one that is found.
-    `seen`: what `examine` gave. `laws`: whether to look for a law that the library does not hold.
+    `seen`: what `examine` gave. `laws`: whether to look for a law that the library does not hold. `tried`: effects for
+    which no law has to wait, since they came to nothing beside the others or are not wanted.
     """
     seen = seen or examine(subject, split, battery, settings, clock)
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
-    effects, candidates, proposed, fitted = _named(seen, settings, laws)
+    effects, candidates, proposed, fitted = _named(seen, settings, laws, tried)
     fits = {"recalibrated": models.fit(()), "with_effects": fitted}
     powers = {"nominal": subject.model, **{kind: fit.model for kind, fit in fits.items()}}
     heldout: HeldOut | None = None
@@ -254,7 +256,7 @@ def diagnose_battery(
 
 
 def _named(
-    seen: Examined, settings: Settings, laws: bool
+    seen: Examined, settings: Settings, laws: bool, tried: Collection[str]
 ) -> tuple[tuple[Finding, ...], tuple[Judged, ...], tuple[Proposal, ...], FinalFit]:
     """The effects that stay beside the laws that are proposed, what became of all others, and the model with them."""
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
@@ -263,7 +265,7 @@ def _named(
         proposed = proposed_laws(found, features.covariates, models, held)
         if features.unlogged:
             proposed = tuple(law for law in proposed if of_motion(law))
-        if found.choice.forward is not None and found.effects:
+        if found.choice.forward is not None and {e.effect for e in found.effects} - {*tried}:
             # where the base is far from right, effects that predict come first, unless a law predicts far better
             proposed = tuple(law for law in proposed if law.far_better)
     effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)

@@ -262,7 +262,8 @@ class Rounds:
         made = robot_from_text(text)
         # the file's own base values came from these logs: what was known before them stays the prior
         again = Subject.of(made, priors={**_fitted_priors(made, self.battery), **self.priors})
-        last = diagnose_battery(again, self.split, self.battery, None, self.settings, clock=models.clock)
+        tried = {name for name, n in self.nothing.items() if n > 1} | {*self.declined}
+        last = diagnose_battery(again, self.split, self.battery, None, self.settings, clock=models.clock, tried=tried)
         self.state = State(text, given, models, last, tuple(effects))
 
 

@@ -26,7 +26,7 @@ from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot
 from missionsim.identify.align import Clock
-from missionsim.identify.findings import BatteryDiagnosis, Estimate
+from missionsim.identify.findings import BatteryDiagnosis, Estimate, Finding
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
@@ -351,14 +351,18 @@ def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypa
 def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
     text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")
+    tried: list[set[str]] = []
+    more: list[Finding] = []
 
     def late(*args: Any, **named: Any) -> BatteryDiagnosis:
         """As if drag, of which there is none, had been named too."""
         found = diagnose_battery(*args, **named)
+        tried.append({*named.get("tried", ())})
         if named.get("seen") is None:
-            return replace(found, effects=(), proposed_laws=())
+            return replace(found, effects=() if tried[-1] else tuple(more), proposed_laws=())
         drag = replace(found.effects[0], effect="aerodynamic_drag", parameters={"k": Estimate(1e-6, -0.1, 0.1, "kg/m")})
         drag = replace(drag, energy_share=1e-6, share_low=-0.01, share_high=0.01)
+        more.append(drag)
         return replace(found, effects=(*found.effects, drag))
 
     monkeypatch.setattr("missionsim.diagnose.improve.diagnose_battery", late)
@@ -366,6 +370,7 @@ def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monk
     assert sorted(done.added) == ["payload", "turning_scrub"]
     assert "aerodynamic_drag" not in done.text
     assert "aerodynamic_drag" in done.stopped
+    assert tried[-1] == {"aerodynamic_drag"}  # no law waits for it
 
 
 def test_what_comes_to_nothing_in_the_last_fit_is_written_as_nothing() -> None:

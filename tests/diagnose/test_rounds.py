@@ -9,12 +9,14 @@ from typing import Any
 
 import pytest
 
+from missionsim.diagnose import diagnosis
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
 from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.findings import Estimate, Finding
+from missionsim.identify.settings import Settings
 from tests.diagnose.test_words import BATTERY, GRADE
 
 AT_FIRST = Clock(0.2, 0.3, (0.0, 0.0))
@@ -118,6 +120,20 @@ def test_the_clock_seen_beside_what_was_added(seen: tuple[float, float], taken_s
     best = rounds(models, [("grade",), (), ()], [models.clock, clock, clock]).best()
     assert (best.models.clock.delay_s, best.models.clock.lag_s) == taken_s
     assert best.models.clock.run_delay_s == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("tried", "laws"), [((), 0), (("grade",), 1)])
+def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_tried(
+    monkeypatch: pytest.MonkeyPatch, tried: tuple[str, ...], laws: int
+) -> None:
+    law = SimpleNamespace(far_better=False, instead_of=("grade",))
+    found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
+    features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
+    models = SimpleNamespace(of_all_braking=tuple, certain=lambda effects, *_: (effects, None))
+    monkeypatch.setattr(diagnosis, "proposed_laws", lambda *_: (law,))
+    seen = SimpleNamespace(features=features, found=found, models=models, held=())
+    _, _, proposed, _ = diagnosis._named(seen, Settings(), True, tried)  # type: ignore[arg-type]
+    assert len(proposed) == laws
 
 
 @dataclass(frozen=True)
