@@ -10,7 +10,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from missionsim.errors import InputError
 
 T = TypeVar("T")
+K = TypeVar("K")
 Json = dict[str, Any]
 """A JSON object."""
 
@@ -81,6 +82,14 @@ def check_writable(*paths: str | os.PathLike[str] | None) -> None:
 def fields_of(item: object, names: str) -> Json:
     """Attributes of an object, named with blanks between, as part of a JSON object."""
     return {name: getattr(item, name) for name in names.split()}
+
+
+def grouped(items: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
+    """Items by a key, keys and items in their order."""
+    found: dict[K, list[T]] = {}
+    for item in items:
+        found.setdefault(key(item), []).append(item)
+    return found
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

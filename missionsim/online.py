@@ -79,9 +79,7 @@ def _homes_of_segments(mission: Any, result: Any, battery: str, homes: list[dict
     """Energy home (J) at each interval's start and the mission's end, straight lines between ends of segments."""
     ends_s = [result.segment_end_s[index] for index in range(len(result.segments))]
     values = [3600.0 * float(home[battery] or 0.0) for home in homes]
-    environment = mission.environment
-    chargers = [name for name, place in environment.places.items() if place.charger is not None]
-    docks = [mission.policy.dock] if mission.policy.dock else chargers or [mission.start]
+    docks = [mission.policy.dock] if mission.policy.dock else mission.environment.chargers or [mission.start]
     first = 0.0 if mission.start in docks else values[0]
     times = np.append(result.timeline.start_s, ends_s[-1])
     return np.asarray(np.interp(times, [0.0, *ends_s], [first, *values]), dtype=float)

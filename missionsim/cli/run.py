@@ -134,13 +134,10 @@ def _no_way_home(result: RunResult) -> str:
 
 def segment_rows(result: RunResult, most: int = 14) -> Table:
     """Energy by segment; repetitions of a segment are added up, and of many segments the largest are shown."""
-    index: dict[str, list[int]] = {}
-    for i, segment in enumerate(result.segments):
-        index.setdefault(segment.label or segment.name, []).append(i)
     energies = {name: result.by_segment_wh(name) for name in result.batteries}
     passed = result.places_passed()
     rows = []
-    for label, members in index.items():
+    for label, members in result.repeats().items():
         parts = [float(energies[name][members].sum()) for name in result.batteries]
         driven = sum(result.was_done(i) for i in members)
         if driven:

@@ -13,7 +13,7 @@ from missionsim.effects.model import TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.recorder import Row
 from missionsim.errors import Fault
-from missionsim.files import Json, fields_of
+from missionsim.files import Json, fields_of, grouped
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.physics import Array
 from missionsim.plan.legs import Leg, SegmentInfo
@@ -54,22 +54,17 @@ def edges_driven(
     starts = np.flatnonzero(np.append(True, leg_of[1:] != leg_of[:-1])) if len(leg_of) else leg_of
     spans: list[list[int]] = []
     last: Leg | None = None
+    reached_m = 0.0
     for first, stop in zip(starts.tolist(), [*starts[1:].tolist(), len(leg_of)], strict=True):
         leg = legs[int(leg_of[first])]
         if leg.edge is None or leg.kind != "roll":
             continue
-        went_on = (
-            last is not None
-            and last.edge is not None
-            and last.edge[:3] == leg.edge[:3]
-            and last.segment == leg.segment
-            and abs(last.edge.to_m - leg.edge.from_m) < 1e-9
-        )
-        if went_on and last is not leg:
+        went_on = last is not None and last is not leg and leg.same_edge(last)
+        if went_on and abs(reached_m - leg.edge.from_m) < 1e-9:
             spans[-1][1] = stop
         else:
             spans.append([first, stop])
-        last = leg
+        last, reached_m = leg, leg.edge.to_m
     total = {name: np.sum(list(terms.values()), axis=0) / 3600.0 for name, terms in energies.items()}
     sums = {name: [0.0, *np.cumsum(wh).tolist()] for name, wh in total.items()}
     charges = {name: charge.tolist() for name, charge in charge_wh.items()}
@@ -195,8 +190,14 @@ class RunResult:
 
     def places_passed(self) -> dict[int, list[str]]:
         """Segment → the places from where it began to where it ended, of drives on the map."""
-        ways = _grouped(self.edges_driven()).items()
-        return {segment: [edges[0].begin, *(edge.end for edge in edges)] for segment, edges in ways}
+        return {i: [edges[0].begin, *(edge.end for edge in edges)] for i, edges in self._ways().items()}
+
+    def _ways(self) -> dict[int, list[DrivenEdge]]:
+        return grouped(self.edges_driven(), lambda edge: edge.segment)
+
+    def repeats(self) -> dict[str, list[int]]:
+        """Segments by what they are called; those of a block that is repeated have one name."""
+        return grouped(range(len(self.segments)), lambda i: self.segments[i].label or self.segments[i].name)
 
     @property
     def returned(self) -> bool:
@@ -306,7 +307,7 @@ class RunResult:
                     "edge_indices": [e.edge for e in edges],
                     "places": [edges[0].begin, *(edge.end for edge in edges)],
                 }
-                for index, edges in _grouped(self.edges_driven()).items()
+                for index, edges in self._ways().items()
             ],
             "interrupted": None
             if self.interrupted is None
@@ -322,13 +323,6 @@ class RunResult:
             "never_on": list(self.never_on),
             "provenance": dict(self.provenance),
         }
-
-
-def _grouped(edges: list[DrivenEdge]) -> dict[int, list[DrivenEdge]]:
-    found: dict[int, list[DrivenEdge]] = {}
-    for edge in edges:
-        found.setdefault(edge.segment, []).append(edge)
-    return found
 
 
 def _totals(terms: Mapping[TermKey, Array], name_of: Callable[[TermKey], str]) -> dict[str, float]:

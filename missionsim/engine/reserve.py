@@ -39,9 +39,8 @@ class Homing:
         self._found: dict[str, list[Way] | None] = {}
         if routes is None or mission.environment is None:
             return
-        chargers = tuple(name for name, place in mission.environment.places.items() if place.charger is not None)
         start = (mission.start,) if mission.start else ()
-        self.docks = (mission.policy.dock,) if mission.policy.dock else chargers or start
+        self.docks = (mission.policy.dock,) if mission.policy.dock else mission.environment.chargers or start
 
     def ways(self, place: str) -> list[Way] | None:
         """Shortest way from a place to a dock; None where there is none or the place is not known."""

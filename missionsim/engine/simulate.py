@@ -220,12 +220,7 @@ class RunSetup:
             return None
         docks = self.homing.docks
         if self.goes_on:
-            chargers = {name: spec.charger for name, spec in environment.places.items() if spec.charger is not None}
-            docks = tuple(
-                name
-                for name, charger in chargers.items()
-                if policy.dock in (None, name) and (not charger.batteries or battery in charger.batteries)
-            )
+            docks = tuple(name for name in environment.charging(battery) if policy.dock in (None, name))
         found = self.homing.excursion(last, done_m, like, docks, back=self.goes_on, stands=stands)
         if found is None:
             return None
@@ -252,7 +247,9 @@ class RunSetup:
         line, energies, charge = world.meter.table()
         duration = float(world.env.now)
         home: dict[str, float | None] = dict.fromkeys(self.batteries)
-        if self.mission.environment is not None:
+        driven: Callable[[], list[DrivenEdge]] | None = None
+        if (site := self.mission.environment) is not None:
+            driven = cache(lambda: edges_driven(site, world.recorder.rows, world.legs, line, energies, charge))
             home = (yield from home_energies(world, self.homing, self.model, self.drawn, only_last=True))[-1]
         results = {}
         reasons = [world.reason] if world.reason else []
@@ -293,16 +290,8 @@ class RunSetup:
             segments_driven=world.begun,
             interrupted=world.interrupted,
             dock_s=math.fsum(row.duration_s for row in world.recorder.rows if row.charging and any(row.charging)),
-            driven=self._driven(world, line, energies, charge),
+            driven=driven,
         )
-
-    def _driven(
-        self, world: World, line: Timeline, energies: Any, charge: Any
-    ) -> Callable[[], list[DrivenEdge]] | None:
-        environment = self.mission.environment
-        if environment is None:
-            return None
-        return cache(lambda: edges_driven(environment, world.recorder.rows, world.legs, line, energies, charge))
 
     def _battery_result(
         self,

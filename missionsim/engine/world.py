@@ -227,7 +227,7 @@ class World:
         order = list(dict.fromkeys(phase.leg for phase in self._going_on[self._at].phases))
         first = order.index(at) if at in order else 0
         if leg.edge is not None and leg.kind == "roll":
-            same = [i for i in range(len(order)) if _same_edge(legs[order[i]], leg)]
+            same = [i for i in range(len(order)) if leg.same_edge(legs[order[i]])]
             first = max(i for i in same if i >= first) + 1 if went_on else min(i for i in same if i <= first)
         rest = [_again(legs[i]) for i in order[first:]]
         if leg.kind == "stand" and rest:
@@ -348,11 +348,6 @@ def _length(phase: Phase, seconds: float) -> float:
 def _moved(steps: Iterable[Step], base: int) -> list[Step]:
     """Steps whose legs stand further back in a list."""
     return [Step(step.kind, tuple(p._replace(leg=p.leg + base) for p in step.phases)) for step in steps]
-
-
-def _same_edge(leg: Leg, other: Leg) -> bool:
-    same = leg.edge is not None and other.edge is not None and leg.edge[:3] == other.edge[:3]
-    return same and leg.segment == other.segment
 
 
 def _again(leg: Leg) -> Leg:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from missionsim.errors import Fault
+from missionsim.files import grouped
 from missionsim.inputs import values
 from missionsim.inputs.base import DescribedFile, Identifier, Model, Name, Text, wrong
 from missionsim.inputs.tree import Document
@@ -105,7 +106,7 @@ class EnvironmentSpec(DescribedFile):
         """
         to_place: list[tuple[float, int]] = []
         by_name: tuple[int, str] | None = None
-        for index, edge, end in self._open_from.get(here, ()):
+        for index, edge, _, end in self._open_from.get(here, ()):
             if end == name:
                 to_place.append((self.length_m(edge) or 0.0, index))
             if edge.name == name and by_name is None:
@@ -113,11 +114,8 @@ class EnvironmentSpec(DescribedFile):
         return (min(to_place)[1], name) if to_place else by_name
 
     @functools.cached_property
-    def _open_from(self) -> dict[str, list[tuple[int, EdgeSpec, str]]]:
-        found: dict[str, list[tuple[int, EdgeSpec, str]]] = {}
-        for index, edge, begin, end in self.open_ways():
-            found.setdefault(begin, []).append((index, edge, end))
-        return found
+    def _open_from(self) -> dict[str, list[tuple[int, EdgeSpec, str, str]]]:
+        return grouped(self.open_ways(), lambda way: way[2])
 
     def open_ways(self) -> Iterator[tuple[int, EdgeSpec, str, str]]:
         """Every way that may be driven: the edge's index, the edge, begin and end in the direction of travel."""
@@ -141,6 +139,11 @@ class EnvironmentSpec(DescribedFile):
     def chargers(self) -> tuple[str, ...]:
         """Places with a charger."""
         return tuple(name for name, place in self.places.items() if place.charger is not None)
+
+    def charging(self, battery: str) -> tuple[str, ...]:
+        """Places with a charger that serves a battery; one that names none serves all."""
+        found = ((name, place.charger) for name, place in self.places.items() if place.charger is not None)
+        return tuple(name for name, charger in found if not charger.batteries or battery in charger.batteries)
 
     def reached(self, start: str, shut: Container[str | None] = (), *, against: bool = False) -> set[str]:
         """Places that open ways lead to from a place; `against` their direction, the places that lead to it. Edges

@@ -252,8 +252,7 @@ class TaskSpec(RobotAtSite):
         named = self.choose.docks
         if named == "none":
             return ()
-        chargers = tuple(name for name, place in self.environment.places.items() if place.charger is not None)
-        return chargers if named == "all" else tuple(named)
+        return self.environment.chargers if named == "all" else tuple(named)
 
     @property
     def most_kg(self) -> float | None:

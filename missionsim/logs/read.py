@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
-from missionsim.files import sha256
+from missionsim.files import grouped, sha256
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
@@ -88,9 +88,7 @@ def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:
 def distinct_logs(paths: Iterable[PathLike] | PathLike) -> dict[Path, list[Path]]:
     """As `find_logs`: the first file of each content, with the further files that have the same."""
     files = _files(paths)
-    sizes: dict[int, list[Path]] = {}
-    for path in files:
-        sizes.setdefault(path.stat().st_size if path.is_file() else -1, []).append(path)
+    sizes = grouped(files, lambda path: path.stat().st_size if path.is_file() else -1)
     # only files of one size can be the same, so most are never hashed
     alike = [p for size, same in sizes.items() if size > 0 and len(same) > 1 for p in same]
     content = {p: sha256(p) for p in alike if os.access(p, os.R_OK)}

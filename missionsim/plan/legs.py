@@ -198,6 +198,11 @@ class Leg(NamedTuple):
     segment: int = 0
     """Index of the mission's segment, repeats counted one by one."""
 
+    def same_edge(self, other: Leg) -> bool:
+        """Whether another leg is on the same edge in the same segment."""
+        on_one = self.edge is not None and other.edge is not None and self.edge[:3] == other.edge[:3]
+        return on_one and self.segment == other.segment
+
 
 class Phase(NamedTuple):
     """Constant acceleration for some time: values at its start, and their rates."""

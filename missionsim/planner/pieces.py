@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
+from missionsim.files import grouped
 from missionsim.inputs.segments import DriveSegment
 from missionsim.inputs.task import SchemeChoice, TaskSpec, speeds_of
 from missionsim.inputs.values import Parameter
@@ -254,9 +255,7 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
     use = np.zeros((len(driven), 1 + len(physics.names)))
     number: dict[Piece, int] = {}
     which = np.array([number.setdefault(piece, len(number)) for piece in driven], dtype=np.intp)
-    groups: dict[tuple[int, bool], list[Piece]] = {}
-    for piece in number:
-        groups.setdefault((len(piece.legs), _instant(piece)), []).append(piece)
+    groups = grouped(number, lambda piece: (len(piece.legs), _instant(piece)))
     parts: list[tuple[NDArray[Any], ...]] = []
     for (count, instant), members in groups.items():
         place = np.full(len(number), -1)

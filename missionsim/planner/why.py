@@ -249,9 +249,8 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
             text = f"a window of '{visit.label}' until {_up(begins, 1):.1f} s ({_up(begins - until, 1):.1f} s later)"
             share = (begins - until) / max(until, 1.0)
             yield _change(f"visits.{i}.window.until", ENOUGH * begins, "s", text, share)
-    chargers = [name for name, place in task.environment.places.items() if place.charger is not None]
-    unused = sorted(set(chargers) - set(task.docks))
-    if unused and task.docks != tuple(chargers):
+    chargers = task.environment.chargers
+    if set(chargers) - set(task.docks) and task.docks != chargers:
         answer = solve_site(_site(task, docks="all"))
         if answer.feasible:
             minutes = sum(leg.duration_s for leg in answer.legs if leg.kind == "charge") / 60.0

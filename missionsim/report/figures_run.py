@@ -98,9 +98,7 @@ def charge_figure(result: RunResult) -> Figure:
 
 def energy_figure(result: RunResult) -> Figure:
     """Energy of each segment by component, one panel a battery; repetitions of a segment are added up."""
-    groups: dict[str, list[int]] = {}
-    for i, segment in enumerate(result.segments):
-        groups.setdefault(segment.label or segment.name, []).append(i)
+    groups = result.repeats()
     names = list(result.batteries)
     totals = {
         label: sum(float(result.by_segment_wh(n)[members].sum()) for n in names) for label, members in groups.items()

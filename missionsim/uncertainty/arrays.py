@@ -30,7 +30,7 @@ from missionsim.plan.legs import Plan
 from missionsim.uncertainty import matrices
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.events import Part, charge_course, phases_of
-from missionsim.uncertainty.single import components_of, simulate_block
+from missionsim.uncertainty.single import components_of, number_columns, simulate_block
 
 Array = NDArray[np.float64]
 AGREEMENT = 1e-9
@@ -106,10 +106,7 @@ class ArrayMission:
     def _empty(self, count: int) -> dict[str, NDArray[Any]]:
         columns: dict[str, NDArray[Any]] = {name: np.zeros(count, dtype=bool) for name in ("feasible", "speed_limited")}
         batteries = tuple(self.mission.robot.batteries)
-        numbers = ["duration_s", "distance_m", "failed_at_s"]
-        numbers += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "charge_left", "margin", "needed")]
-        numbers += [f"component_{battery}_{component}_wh" for battery, component in components_of(self.model)]
-        columns |= {name: np.zeros(count) for name in numbers}
+        columns |= {name: np.zeros(count) for name in number_columns(batteries, components_of(self.model))}
         columns["failed_at_s"][:] = np.nan
         columns |= {name: np.full(count, "", dtype=object) for name in ("failed_segment", "failed_battery", "message")}
         columns |= {f"charge_{name}_wh": np.empty((matrices.PROGRESS_POINTS, count)).T for name in batteries}

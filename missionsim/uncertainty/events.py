@@ -16,6 +16,7 @@ from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.meter import alone
 from missionsim.engine.recorder import REST
 from missionsim.engine.simulate import RunSetup
+from missionsim.files import grouped
 from missionsim.physics import Array, Value
 from missionsim.plan.legs import Phase, Plan
 from missionsim.uncertainty.matrices import PROGRESS_POINTS, Intervals, Progress
@@ -67,9 +68,7 @@ def parts_of(setup: RunSetup) -> tuple[Part, ...] | str:
 def _whole(plan: Plan, found: list[Part]) -> list[Part]:
     """Each leg with one part, unless something changes within it; legs that take no time among them."""
     made: list[Part] = []
-    by_leg: dict[int, list[Part]] = {}
-    for part in found[:-1]:  # the last tells how it ends
-        by_leg.setdefault(part.leg, []).append(part)
+    by_leg = grouped(found[:-1], lambda part: part.leg)  # the last tells how it ends
     for leg in range(len(plan.legs)):
         mine = by_leg.get(leg, [])
         rests, drives = [p for p in mine if p.waits], [p for p in mine if not p.waits]
@@ -126,11 +125,7 @@ def phases_of(
 
 
 def _by_leg(plan: Plan) -> dict[int, list[Phase]]:
-    found: dict[int, list[Phase]] = {}
-    for step in plan.steps:
-        for phase in step.phases:
-            found.setdefault(phase.leg, []).append(phase)
-    return found
+    return grouped((phase for step in plan.steps for phase in step.phases), lambda phase: phase.leg)
 
 
 def _lasting(plan: Plan, phase: Phase) -> Any:

@@ -25,19 +25,14 @@ MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
 
 
 def simulate_run(
-    mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, run: int, *, trace: bool = True
+    mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, run: int
 ) -> tuple[dict[str, float], RunResult, bool]:
     """Run number `run` of a batch alone, with SimPy. Gives the drawn values by name, the result, and whether a drawn
     speed was cut to what the robot can do."""
     drawn = {name: float(values[0]) for name, values in sampler.draw(seed, run, 1).items()}
-    plan = _plan(mission, model, drawn, seed, run)
-    result = simulate(mission, values=drawn, plan=plan, model=model, trace=trace)
+    plan = make_plan(mission, split_values(drawn, model)[0], run_generator(seed, "chance", run))
+    result = simulate(mission, values=drawn, plan=plan, model=model)
     return {**drawn, **_chance(plan)}, result, plan.limited
-
-
-def _plan(mission: MissionSpec, model: PowerModel, values: Mapping[str, float], seed: int, run: int) -> Plan:
-    numbers, _ = split_values(values, model)
-    return make_plan(mission, numbers, run_generator(seed, "chance", run))
 
 
 def _plans(mission: MissionSpec, numbers: Draws, count: int) -> list[Plan | None]:
@@ -152,6 +147,13 @@ def components_of(model: PowerModel) -> tuple[tuple[str, str], ...]:
     return tuple(sorted({(term.key.battery, term.key.component) for term in model.terms}))
 
 
+def number_columns(batteries: Iterable[str], components: Iterable[tuple[str, str]]) -> list[str]:
+    """Columns of a block with one number a run, but for the draws."""
+    of_batteries = [f"{what}_{name}_wh" for name in batteries for what in ("energy", "charge_left", "margin", "needed")]
+    parts = [f"component_{battery}_{component}_wh" for battery, component in components]
+    return ["duration_s", "distance_m", "failed_at_s", *of_batteries, *parts]
+
+
 def _row(result: RunResult) -> dict[str, Any]:
     row: dict[str, Any] = {
         "feasible": result.feasible,
@@ -193,11 +195,7 @@ def _columns(
     columns: dict[str, NDArray[np.generic]] = {"run": np.asarray(own, dtype=np.int64)}
     for name in ("feasible", "speed_limited"):
         columns[name] = np.array([bool(row.get(name, False)) for row in rows])
-    numbers = ["duration_s", "distance_m", "failed_at_s"]
-    for name in batteries:
-        numbers += [f"energy_{name}_wh", f"charge_left_{name}_wh", f"margin_{name}_wh", f"needed_{name}_wh"]
-    numbers += [f"component_{battery}_{component}_wh" for battery, component in components]
-    for name in numbers:
+    for name in number_columns(batteries, components):
         default = 0.0 if name.startswith("component_") else np.nan
         columns[name] = np.array([row.get(name, default if "duration_s" in row else np.nan) for row in rows])
     for name in ("failed_segment", "failed_battery", "message"):
