@@ -19,7 +19,7 @@ class Format:
 
     name: str
     is_this: Callable[[dict[str, Any]], bool]
-    read: Callable[[Value, Site, SiteOptions], None]
+    read: Callable[[Value, Site], None]
 
 
 def _keys(*names: str) -> Callable[[dict[str, Any]], bool]:
@@ -51,15 +51,15 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
 
     Raises InputError: all faults of the file, with lines; a file of no known format.
     """
-    options = options or SiteOptions()
     text = read_text(path)
-    site = Site(str(path), "", clean(Path(path).name.split(".")[0]) or "site")
+    name = clean(Path(path).name.split(".")[0]) or "site"
+    site = Site(str(path), "", name, options or SiteOptions())
     if text.startswith("QGC WPL"):
         site.format = "QGroundControl waypoints"
-        qgc.read_text(text, site, options)
+        qgc.read_text(text, site)
         return site
     if text.lstrip("\ufeff \t\r\n").startswith("<"):
-        return _read_xml(text.lstrip("\ufeff"), site, options)
+        return _read_xml(text.lstrip("\ufeff"), site)
     try:
         document = read_document(path, text)
     except InputError as problem:
@@ -70,21 +70,21 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
         raise InputError(_unknown(site.file, data))
     site.format = kind.name
     faults = Faults(site.file)
-    kind.read(Value(document, faults, document.root), site, options)
+    kind.read(Value(document, faults, document.root), site)
     faults.stop()
     return site
 
 
-def _read_xml(text: str, site: Site, options: SiteOptions) -> Site:
+def _read_xml(text: str, site: Site) -> Site:
     root = parse_xml(text, site.file)
     if root.tag == "gpx":
         site.format = "GPX"
         faults = Faults(site.file)
-        gpx.read(root, site, options, faults)
+        gpx.read(root, site, faults)
         faults.stop()
     elif root.tag == "graphml":
         site.format = "GraphML"
-        graph.read_graphml(root, text, site, options)
+        graph.read_graphml(root, text, site)
     else:
         raise InputError(Fault(site.file, root.line, 0, "no format that is known", "", f"<{root.tag}>", KNOWN))
     return site

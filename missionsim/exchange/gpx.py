@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from missionsim.exchange.site import LocalPlane, Site, SiteOptions, clean, says_charger, smooth_slopes
+from missionsim.exchange.site import LocalPlane, Site, clean, says_charger, smooth_slopes
 from missionsim.exchange.source import Element, Faults
 from missionsim.physics import Array
 
@@ -21,7 +21,7 @@ Point = tuple[float, float, float, str, int]
 """Latitude, longitude, elevation (nan where none), name, line."""
 
 
-def read(root: Element, site: Site, options: SiteOptions, faults: Faults) -> None:
+def read(root: Element, site: Site, faults: Faults) -> None:
     """Fill the site; a mission drives the tracks and routes one after the other."""
     ways: list[tuple[str, list[Point], bool]] = []
     for index, track in enumerate(root.all("trk"), 1):
@@ -40,13 +40,9 @@ def read(root: Element, site: Site, options: SiteOptions, faults: Faults) -> Non
     if faults.found:
         return
     plane = site.plane([point[:2] for point in every])
-    chains = [
-        chain
-        for name, points, is_track in ways
-        if len(chain := _chain(name, points, is_track, plane, site, options)) > 1
-    ]
+    chains = [chain for name, points, is_track in ways if len(chain := _chain(name, points, is_track, plane, site)) > 1]
     for latitude, longitude, _, name, line in marks:
-        _mark(name, plane.to_metres(latitude, longitude), line, site, options, bool(chains))
+        _mark(name, plane.to_metres(latitude, longitude), line, site, bool(chains))
     if chains:
         site.tell("ways lead both ways: a track has no direction that would forbid the other")
         site.start = chains[0][0]
@@ -83,9 +79,7 @@ def _number(text: str | None) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _chain(
-    name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane, site: Site, options: SiteOptions
-) -> list[str]:
+def _chain(name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane, site: Site) -> list[str]:
     """Places and ways of one track segment or route; the names of its places in order."""
     where = np.array([plane.to_metres(*point[:2]) for point in points])
     steps = np.hypot(*np.diff(where, axis=0).T) if len(where) > 1 else np.zeros(0)
@@ -94,15 +88,15 @@ def _chain(
         site.tell("left out: track that goes nowhere", points[0][4])
         return []
     every = [0, *(int(i) + 1 for i in np.flatnonzero(steps > 0.0))]
-    chosen = _sections(along, options.smooth_m / 2) if is_track else every
+    chosen = _sections(along, site.options.smooth_m / 2) if is_track else every
     height = np.array([point[2] for point in points])
     known = np.isfinite(height)
     slopes = np.zeros(len(chosen) - 1)
     if known.sum() >= 2:
-        slopes = smooth_slopes(along[known], height[known], along[chosen], options.smooth_m)
+        slopes = smooth_slopes(along[known], height[known], along[chosen], site.options.smooth_m)
         site.tell(
-            f"slopes: elevations of the points smoothed by local lines over {options.smooth_m:g} m to each side, "
-            f"sections of about {options.smooth_m / 2:g} m"
+            f"slopes: elevations of the points smoothed by local lines over {site.options.smooth_m:g} m to each side, "
+            f"sections of about {site.options.smooth_m / 2:g} m"
         )
     if not known.all():
         site.tell("point without elevation" if known.any() else "no elevations: all ways are level", points[0][4])
@@ -111,7 +105,7 @@ def _chain(
     names = []
     for count, index in enumerate(chosen):
         word = points[index][3] or f"{clean(name)[:80]} {count}"
-        charger = options.charger if says_charger(points[index][3]) else None
+        charger = site.options.charger if says_charger(points[index][3]) else None
         names.append(site.place(word, (where[index, 0], where[index, 1]), charger=charger))
     lengths = np.diff(along[chosen])
     for count, (length, slope) in enumerate(zip(lengths, np.clip(slopes, -1.2, 1.2), strict=True)):
@@ -128,9 +122,9 @@ def _sections(along: Array, step_m: float) -> list[int]:
     return [int(i) for i in chosen[np.concatenate([[True], np.diff(along[chosen]) > 0.0])]]
 
 
-def _mark(name: str, where: tuple[float, float], line: int, site: Site, options: SiteOptions, joined: bool) -> None:
+def _mark(name: str, where: tuple[float, float], line: int, site: Site, joined: bool) -> None:
     """A waypoint: the nearest place of a track, where one is near, is called by it; else a place by itself."""
-    charger = options.charger if says_charger(name) else None
+    charger = site.options.charger if says_charger(name) else None
     near, distance = None, _NEAR_M
     for key, place in site.places.items():
         away = math.hypot(place["x"] - where[0], place["y"] - where[1])

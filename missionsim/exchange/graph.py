@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from missionsim.errors import Fault, InputError
-from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
+from missionsim.exchange.site import Site, clean, says_charger
 from missionsim.exchange.source import Element, Faults, Value
 
 _X, _Y = ("x",), ("y",)
@@ -38,7 +38,7 @@ class Part:
     line: int
 
 
-def read_graphml(root: Element, text: str, site: Site, options: SiteOptions) -> None:
+def read_graphml(root: Element, text: str, site: Site) -> None:
     """Fill the site of a GraphML file, which networkx reads."""
     import networkx
 
@@ -62,11 +62,11 @@ def read_graphml(root: Element, text: str, site: Site, options: SiteOptions) -> 
     for end, line in ((end, line) for ends, line in between.items() for end in ends if end not in lines):
         faults.add(line, "no node has this id", end, "the id of a node")
     faults.stop()
-    _fill(nodes, edges, graph.graph, graph.is_directed(), site, options, faults)
+    _fill(nodes, edges, graph.graph, graph.is_directed(), site, faults)
     faults.stop()
 
 
-def read_node_link(root: Value, site: Site, options: SiteOptions) -> None:
+def read_node_link(root: Value, site: Site) -> None:
     """Fill the site of a node-link file (d3, networkx.node_link_data)."""
     nodes, edges = [], []
     known: dict[str, str] = {}
@@ -87,17 +87,11 @@ def read_node_link(root: Value, site: Site, options: SiteOptions) -> None:
     attributes = graph.fields if graph else {}
     site.name = clean(str(attributes.get("name") or "")) or site.name
     if not root.faults.found:
-        _fill(nodes, edges, attributes, root.fields.get("directed") is True, site, options, root.faults)
+        _fill(nodes, edges, attributes, root.fields.get("directed") is True, site, root.faults)
 
 
 def _fill(
-    nodes: Sequence[Part],
-    edges: Sequence[Part],
-    graph: Mapping[str, Any],
-    directed: bool,
-    site: Site,
-    options: SiteOptions,
-    faults: Faults,
+    nodes: Sequence[Part], edges: Sequence[Part], graph: Mapping[str, Any], directed: bool, site: Site, faults: Faults
 ) -> None:
     degrees = "4326" in str(graph.get("crs", ""))
     positions = {node.ends[0]: _position(node, degrees) for node in nodes}
@@ -111,7 +105,7 @@ def _fill(
         found = positions[node.ends[0]]
         where = None if found is None else plane.to_metres(found[0], found[1]) if plane and found[2] else found[:2]
         title = next((clean(str(node.attributes[key])) for key in _TITLE if node.attributes.get(key)), "")
-        charger = options.charger if _is_charger(node.attributes) else None
+        charger = site.options.charger if _is_charger(node.attributes) else None
         title = "" if title == node.ends[0] else title
         names[node.ends[0]] = site.place(node.ends[0], where, _number(node, _HEIGHT), title=title, charger=charger)
         _left(node, _NODE_USED, "a node", site)

@@ -25,7 +25,7 @@ _TITLES = ("name", "label", "title")
 _SPEEDS = ("speed_limit", "abs_speed_limit")
 
 
-def read(root: Value, site: Site, options: SiteOptions) -> None:
+def read(root: Value, site: Site) -> None:
     """Fill the site."""
     features = root.entries("features")
     nodes: list[tuple[Value, Value]] = []
@@ -43,14 +43,14 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
             edges.append(properties)
         else:
             site.tell(f"left out: {kind or 'a feature of no kind'}: a route graph has points and lines", feature.line)
-    names = _nodes(root, site, nodes, options)
+    names = _nodes(root, site, nodes)
     for edge in edges:
-        _edge(edge, site, names, options)
+        _edge(edge, site, names)
     if not nodes:
         root.fault("a route graph without nodes", "features of the kind Point")
 
 
-def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]], options: SiteOptions) -> dict[object, str]:
+def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[object, str]:
     names: dict[object, str] = {}
     positions = [_position(geometry) for _, geometry in nodes]
     plane = None
@@ -72,7 +72,7 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]], options: S
         _left(properties, site, "a node", _TITLES)
         where = plane.to_metres(position[1], position[0]) if plane else position[:2]
         height = position[2] if len(position) > 2 else None
-        charger = options.charger if says_charger(data) else None
+        charger = site.options.charger if says_charger(data) else None
         if charger:
             site.tell("node is taken for a charger, because its metadata says so", properties.line)
         names[number] = site.place(str(number), (where[0], where[1]), height, title=title, charger=charger)
@@ -98,7 +98,7 @@ def _id(properties: Value, key: str) -> object:
     return found.data
 
 
-def _edge(edge: Value, site: Site, names: dict[object, str], options: SiteOptions) -> None:
+def _edge(edge: Value, site: Site, names: dict[object, str]) -> None:
     number = _id(edge, "id")
     ends = [_id(edge, key) for key in ("startid", "endid")]
     for key, end in zip(("startid", "endid"), ends, strict=True):
@@ -109,11 +109,11 @@ def _edge(edge: Value, site: Site, names: dict[object, str], options: SiteOption
     _left(edge, site, "an edge", _SPEEDS)
     if edge.has("cost"):
         site.tell("left out: cost of an edge, which ours replaces (missionsim export nav2)", edge.line)
-    speed = _speed(edge, site, options)
+    speed = _speed(edge, site)
     site.edge(names[ends[0]], names[ends[1]], edge.line, name=str(number), max_speed=speed)
 
 
-def _speed(edge: Value, site: Site, options: SiteOptions) -> float | None:
+def _speed(edge: Value, site: Site) -> float | None:
     metadata = edge.get("metadata")
     if metadata is None or not isinstance(metadata.data, dict):
         return None
@@ -126,13 +126,13 @@ def _speed(edge: Value, site: Site, options: SiteOptions) -> float | None:
     if share > 1.0:  # AdjustSpeedLimit publishes per cent, DistanceScorer divides by a share
         site.tell("speed_limit above 1 is per cent of the top speed", found.line)
         share /= 100.0
-    if options.robot is None:
+    if site.options.robot is None:
         site.tell(
             "speed_limit is a share of the top speed: written for a top speed of 1 m/s; --robot tells", found.line
         )
         return share
-    site.tell(f"speed_limit is a share of the top speed of {options.robot.name}", found.line)
-    return share * options.robot.body.max_speed.value
+    site.tell(f"speed_limit is a share of the top speed of {site.options.robot.name}", found.line)
+    return share * site.options.robot.body.max_speed.value
 
 
 def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> None:
@@ -177,8 +177,8 @@ def export_costs(
     document = parse_json(text.removeprefix("\ufeff"), str(path))
     faults = Faults(str(path))
     root = Value(document, faults, document.root)
-    site = Site(str(path), "Nav2 route graph", "")
-    read(root, site, SiteOptions(robot))
+    site = Site(str(path), "Nav2 route graph", "", SiteOptions(robot))
+    read(root, site)
     faults.stop()
     known = {edge["name"]: edge for edge in site.edges}
     top = robot.body.max_speed.value

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError
-from missionsim.exchange.site import LocalPlane, Site, SiteOptions
+from missionsim.exchange.site import LocalPlane, Site
 from missionsim.exchange.source import Faults, Value
 from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
@@ -50,7 +50,7 @@ class Item:
         return self.parameters[5]
 
 
-def read(root: Value, site: Site, options: SiteOptions) -> None:
+def read(root: Value, site: Site) -> None:
     """Fill the site of a JSON plan."""
     mission = root.get("mission") or root
     items: list[Item] = []
@@ -77,10 +77,10 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
             "the plan is not for a rover: waypoints are driven on the ground, hoverSpeed is the speed", mission.line
         )
     start = (home[0], home[1]) if len(home) == 2 and home[0] is not None and home[1] is not None else None
-    build(items, start, speed, site, options)
+    build(items, start, speed, site)
 
 
-def read_text(text: str, site: Site, options: SiteOptions) -> None:
+def read_text(text: str, site: Site) -> None:
     """Fill the site of a ``QGC WPL`` file: index, current, frame, command, 7 parameters, autocontinue a line."""
     items, faults = [], Faults(site.file)
     for line, row in enumerate(text.splitlines()[1:], 2):
@@ -103,7 +103,7 @@ def read_text(text: str, site: Site, options: SiteOptions) -> None:
     if first.number == 0 and first.latitude is not None and first.longitude is not None:
         home = (first.latitude, first.longitude)
         items = items[1:]
-    build(items, home, None, site, options)
+    build(items, home, None, site)
 
 
 def _items(value: Value, site: Site) -> list[Item]:
@@ -130,9 +130,7 @@ def _items(value: Value, site: Site) -> list[Item]:
     return [] if number is None else [Item(int(number), parameters, int(frame), int(jump), value.line)]
 
 
-def build(
-    items: list[Item], home: tuple[float, float] | None, speed: float | None, site: Site, options: SiteOptions
-) -> None:
+def build(items: list[Item], home: tuple[float, float] | None, speed: float | None, site: Site) -> None:
     """Places, ways and mission of the commands, from `home` (latitude and longitude, degrees) at a speed [m/s]."""
     moving = [item for item in items if item.command in _MOVING and _has_place(item)]
     world = [item for item in moving if item.frame not in _LOCAL_FRAMES]
@@ -147,7 +145,7 @@ def build(
     faults.stop()
     points = [(item.latitude or 0.0, item.longitude or 0.0) for item in world] + ([home] if home else [])
     plane = site.plane(points) if points else None
-    _Route(items, plane, speed, site, options, home).drive()
+    _Route(items, plane, speed, site, home).drive()
 
 
 def _has_place(item: Item) -> bool:
@@ -163,13 +161,12 @@ class _Route:
     plane: LocalPlane | None
     wanted: float | None
     site: Site
-    options: SiteOptions
     begin: tuple[float, float] | None
 
     def __post_init__(self) -> None:
         self.here = self.home = ""
         self.ways: set[tuple[str, str]] = set()
-        self.limit = self.options.robot.body.max_speed.value if self.options.robot else math.inf
+        self.limit = self.site.options.robot.body.max_speed.value if self.site.options.robot else math.inf
         self.site.speed = self.speed = self.allowed(self.wanted)
         if self.begin is not None and self.plane is not None:
             self.home = self.here = self.site.start = self.site.place("home", self.plane.to_metres(*self.begin))

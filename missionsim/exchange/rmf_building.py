@@ -10,7 +10,7 @@ import cmath
 from dataclasses import dataclass, field
 from typing import Any
 
-from missionsim.exchange.site import Site, SiteOptions, mercator_to_degrees
+from missionsim.exchange.site import Site, mercator_to_degrees
 from missionsim.exchange.source import Value
 
 _SYSTEMS = ("reference_image", "wgs84", "web_mercator", "cartesian_meters")
@@ -35,7 +35,7 @@ class _Level:
         return self.scale * self.turn * point + self.shift
 
 
-def read(root: Value, site: Site, options: SiteOptions) -> None:
+def read(root: Value, site: Site) -> None:
     """Fill the site with all levels."""
     site.name = root.word("building_name") or root.word("name") or site.name
     system = root.word("coordinate_system") or "reference_image"
@@ -43,24 +43,24 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
         found.fault("an unknown coordinate system", ", ".join(_SYSTEMS))
     levels = {name: _Level(name, value) for name, value in root.items("levels")}
     for level in levels.values():
-        _read_level(level, site, options, -1.0 if system in ("reference_image", "web_mercator") else 1.0)
+        _read_level(level, site, -1.0 if system in ("reference_image", "web_mercator") else 1.0)
     if not levels:
         root.fault("a building without levels", "levels: {L1: …}")
     if not levels or root.faults.found:
         return
     reference = levels.get(root.word("reference_level_name"), next(iter(levels.values())))
     if system == "reference_image":
-        _scales(levels, reference, site, options)
+        _scales(levels, reference, site)
     elif system in ("wgs84", "web_mercator"):
         _project(levels, site, mercator=system == "web_mercator")
     if root.faults.found:
         return
     cabins = _cabins(root, levels, reference)
     _align_by_lifts(levels, reference, cabins, site, system)
-    _build(levels, cabins, site, options)
+    _build(levels, cabins, site)
 
 
-def _read_level(level: _Level, site: Site, options: SiteOptions, flip: float) -> None:
+def _read_level(level: _Level, site: Site, flip: float) -> None:
     for vertex in level.value.entries("vertices"):
         level.vertices.append(vertex)
         parts = vertex.entries()
@@ -77,7 +77,7 @@ def _read_level(level: _Level, site: Site, options: SiteOptions, flip: float) ->
         if len(ends) < 2 or ends[0] is None or ends[1] is None:
             continue
         parameters = _parameters(parts[2]) if len(parts) > 2 else {}
-        if options.graph is None or parameters.get("graph_idx", 0) == options.graph:
+        if site.options.graph is None or parameters.get("graph_idx", 0) == site.options.graph:
             level.lanes.append((ends[0], ends[1], parameters, lane))
     for part in _PARTS:
         if (found := level.value.get(part)) and found.data:
@@ -102,9 +102,9 @@ def _parameters(value: Value) -> dict[str, Any]:
     return result
 
 
-def _scales(levels: dict[str, _Level], reference: _Level, site: Site, options: SiteOptions) -> None:
+def _scales(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
     """Scale of the reference level from its measurements; the others over their fiducials."""
-    reference.scale = _measured(reference, site, options) or 1.0
+    reference.scale = _measured(reference, site) or 1.0
     fixed = _fiducials(reference)
     for level in levels.values():
         if level is reference:
@@ -115,7 +115,7 @@ def _scales(levels: dict[str, _Level], reference: _Level, site: Site, options: S
         bonds = [(a, b) for a, b in bonds if a and b]
         if not bonds:
             if level.lanes:
-                level.scale = _measured(level, site, options) or 1.0
+                level.scale = _measured(level, site) or 1.0
                 site.tell(
                     "level without two fiducials of the reference level: its own measurements hold", level.value.line
                 )
@@ -126,7 +126,7 @@ def _scales(levels: dict[str, _Level], reference: _Level, site: Site, options: S
         level.shift = -sum(level.at(b) - reference.scale * a for a, b in pairs) / len(pairs)
 
 
-def _measured(level: _Level, site: Site, options: SiteOptions) -> float | None:
+def _measured(level: _Level, site: Site) -> float | None:
     """m per pixel: the mean of distance over drawn length."""
     found = []
     for measurement in level.value.entries("measurements"):
@@ -146,8 +146,8 @@ def _measured(level: _Level, site: Site, options: SiteOptions) -> float | None:
                 level.value.line,
             )
         return sum(found) / len(found)
-    if options.scale is not None:
-        return options.scale
+    if site.options.scale is not None:
+        return site.options.scale
     if level.lanes or any(level.points):
         level.value.fault("a level without measurements: how long a pixel is, nobody knows", "--scale METRES_PER_PIXEL")
     return None
@@ -223,7 +223,7 @@ def _align_by_lifts(
         site.tell("level without fiducials is laid over the reference level by a lift's cabin", level.value.line)
 
 
-def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: Site, options: SiteOptions) -> None:
+def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: Site) -> None:
     """A place for each vertex with a name or a lane; the cabins of a lift are one place."""
     names: dict[tuple[str, int], str] = {}
     words = {key: str(parts[3].data) for level in levels.values() for key, parts in _named(level)}
@@ -246,7 +246,7 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
             if several and not cabin and (key not in words or list(words.values()).count(word) > 1):
                 word = f"{level.name}_{word}"
             metres = level.at(point)
-            charger = options.charger if parameters.get("is_charger") is True else None
+            charger = site.options.charger if parameters.get("is_charger") is True else None
             names[key] = site.place(word, (metres.real, metres.imag), charger=charger)
             if cabin:
                 lifts[cabin] = names[key]

@@ -162,6 +162,7 @@ class Site:
     file: str
     format: str
     name: str
+    options: SiteOptions
     _: KW_ONLY
     title: str = ""
     notes: list[str] = field(default_factory=list)

@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import Any
 
 from missionsim.errors import InputError
-from missionsim.exchange.site import Site, SiteOptions, nurbs_length, says_charger
+from missionsim.exchange.site import Site, nurbs_length, says_charger
 from missionsim.exchange.source import Value
 from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
@@ -25,16 +25,16 @@ from missionsim.inputs.mission import MissionSpec
 _PROPERTIES_USED = {"vehicleTypeId", "maxSpeed", "trajectory"}
 
 
-def read_layout(root: Value, site: Site, options: SiteOptions) -> None:
+def read_layout(root: Value, site: Site) -> None:
     """Fill the site: all layouts, since they share one origin."""
     meta = root.get("metaInformation")
     site.title = meta.word("projectIdentification") if meta else ""
     layouts = root.entries("layouts")
     vehicles = {v.word("vehicleTypeId") for layout in layouts for v in _vehicles(layout)} - {""}
-    if options.vehicle and options.vehicle not in vehicles:
-        root.fault(f"no edge or node is for vehicle type '{options.vehicle}'", ", ".join(sorted(vehicles)) or "none")
+    if (wanted := site.options.vehicle) and wanted not in vehicles:
+        root.fault(f"no edge or node is for vehicle type '{wanted}'", ", ".join(sorted(vehicles)) or "none")
         return
-    if len(vehicles) > 1 and not options.vehicle:
+    if len(vehicles) > 1 and not wanted:
         listed = ", ".join(sorted(vehicles)[:6])
         site.tell(
             f"all types of vehicle are read, the lowest speed of each edge holds; --vehicle takes one of: {listed}"
@@ -42,12 +42,12 @@ def read_layout(root: Value, site: Site, options: SiteOptions) -> None:
     names: dict[str, str] = {}
     for layout in layouts:
         for node in layout.entries("nodes"):
-            _layout_node(node, site, names, options)
+            _layout_node(node, site, names)
     for layout in layouts:
         for station in layout.entries("stations"):
-            _station(station, site, names, options)
+            _station(station, site, names)
         for edge in layout.entries("edges"):
-            _layout_edge(edge, site, names, options)
+            _layout_edge(edge, site, names)
     if not names:
         root.fault("a layout without nodes", "layouts with nodes")
 
@@ -57,12 +57,12 @@ def _vehicles(layout: Value) -> list[Value]:
     return [found for items, key in keys for item in layout.entries(items) for found in item.entries(key)]
 
 
-def _properties(item: Value, key: str, options: SiteOptions) -> list[Value]:
+def _properties(item: Value, key: str, vehicle: str | None) -> list[Value]:
     found = item.entries(key)
-    return [one for one in found if one.word("vehicleTypeId") == options.vehicle] if options.vehicle else found
+    return [one for one in found if one.word("vehicleTypeId") == vehicle] if vehicle else found
 
 
-def _layout_node(node: Value, site: Site, names: dict[str, str], options: SiteOptions) -> None:
+def _layout_node(node: Value, site: Site, names: dict[str, str]) -> None:
     identity = node.need("nodeId") and node.word("nodeId")
     position = node.need("nodePosition")
     x, y = (position.need(key) for key in ("x", "y")) if position else (None, None)
@@ -72,7 +72,7 @@ def _layout_node(node: Value, site: Site, names: dict[str, str], options: SiteOp
     if identity in names:
         node.fault("a node's id stands twice", "nodeId of its own")
         return
-    properties = _properties(node, "vehicleTypeNodeProperties", options)
+    properties = _properties(node, "vehicleTypeNodeProperties", site.options.vehicle)
     actions = [action for one in properties for action in one.entries("actions")]
     charges = any(action.word("actionType").lower() == "startcharging" for action in actions)
     for action in actions:
@@ -83,12 +83,12 @@ def _layout_node(node: Value, site: Site, names: dict[str, str], options: SiteOp
         site.tell("left out: theta of a node beyond 2 pi (the format has radians)", node.line)
         heading = None
     title = node.word("nodeName") or node.word("nodeDescription")
-    charger = options.charger if charges else None
+    charger = site.options.charger if charges else None
     where = (numbers[0], numbers[1])
     names[identity] = site.place(identity, where, title=title, heading=heading, charger=charger)
 
 
-def _station(station: Value, site: Site, names: dict[str, str], options: SiteOptions) -> None:
+def _station(station: Value, site: Site, names: dict[str, str]) -> None:
     words = [station.word(key) for key in ("stationId", "stationName", "stationDescription")]
     charges = says_charger(*words)
     for node in station.entries("interactionNodeIds"):
@@ -98,17 +98,17 @@ def _station(station: Value, site: Site, names: dict[str, str], options: SiteOpt
         place["title"] = "; ".join(filter(None, [place.get("title", ""), words[1] or words[0]]))
         if charges and "charger" not in place:
             site.tell("station is taken for a charger, because its name says so", station.line)
-            place["charger"] = options.charger
+            place["charger"] = site.options.charger
     site.tell(
         "station: its name is the title of the nodes it is reached from; its own position is left out", station.line
     )
 
 
-def _layout_edge(edge: Value, site: Site, names: dict[str, str], options: SiteOptions) -> None:
+def _layout_edge(edge: Value, site: Site, names: dict[str, str]) -> None:
     start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startNodeId", "endNodeId"))
-    properties = _properties(edge, "vehicleTypeEdgeProperties", options)
-    if options.vehicle and not properties:
-        site.tell(f"left out: edge that {options.vehicle} may not use", edge.line)
+    properties = _properties(edge, "vehicleTypeEdgeProperties", site.options.vehicle)
+    if site.options.vehicle and not properties:
+        site.tell(f"left out: edge that {site.options.vehicle} may not use", edge.line)
         return
     if start is None or end is None:
         return
@@ -155,7 +155,7 @@ _EDGE_USED = {"edgeId", "sequenceId", "actions", "released", "maxSpeed", "maximu
 _EDGE_USED |= {"startNodeId", "endNodeId", "edgeDescription", "edgeDescriptor"}
 
 
-def read(root: Value, site: Site, options: SiteOptions) -> None:
+def read(root: Value, site: Site) -> None:
     """Fill the site; the order is its mission."""
     site.name = root.word("orderId") or site.name
     site.title = root.word("orderDescription")
@@ -167,7 +167,7 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
     names: dict[str, str] = {}
     here = ""
     for number, node in nodes:
-        name = _node(node, site, names, options)
+        name = _node(node, site, names)
         if name is None:
             continue
         if not here:
@@ -175,13 +175,13 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
         else:
             _edge(edges.pop(number - 1, None), node, here, name, site)
         here = name
-        _actions(node, site, name, options)
+        _actions(node, site, name)
     for edge in edges.values():
         edge.fault("an edge that leads to no node", "sequenceId one below that of a node")
     if not site.segments and here:
         site.segments.append({"wait": {"duration": 0.0}})
     speeds = [speed for edge in site.edges if (speed := edge.get("max_speed"))]
-    fastest = options.robot.body.max_speed.value if options.robot else None
+    fastest = site.options.robot.body.max_speed.value if site.options.robot else None
     site.speed = fastest if fastest is not None else max(speeds, default=None)
     if site.speed and any(edge.get("max_speed") is None or edge["max_speed"] > site.speed for edge in site.edges):
         site.tell(f"an order gives limits and no speeds: driven at the limit, at most {site.speed:g} m/s")
@@ -201,7 +201,7 @@ def _ordered(root: Value, key: str) -> list[tuple[int, Value]]:
     return result
 
 
-def _node(node: Value, site: Site, names: dict[str, str], options: SiteOptions) -> str | None:
+def _node(node: Value, site: Site, names: dict[str, str]) -> str | None:
     identity = node.need("nodeId") and node.word("nodeId")
     if not identity:
         return None
@@ -251,14 +251,14 @@ def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> 
         site.tell("left out: action on an edge", action.line)
 
 
-def _actions(node: Value, site: Site, name: str, options: SiteOptions) -> None:
+def _actions(node: Value, site: Site, name: str) -> None:
     for action in node.entries("actions"):
         kind = action.word("actionType")
         given = [p for p in action.entries("actionParameters") if isinstance(p.data, dict)]
         parameters = {p.word("key"): p.fields.get("value") for p in given}
         duration = _duration(parameters)
         if kind.lower() in _CHARGING:
-            site.places[name].setdefault("charger", options.charger)
+            site.places[name].setdefault("charger", site.options.charger)
             site.segments.append({"dock": {"recharge": {"until": 1.0}}})
             site.tell("startCharging: a charger and charging until full", action.line)
         elif duration is not None:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from missionsim.inputs import RobotSpec
-    from missionsim.runs.run import Run
 
 
 def iter_blocks(
