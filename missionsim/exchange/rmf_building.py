@@ -255,7 +255,9 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
         site.tell("a lift is one place on all its levels: what it draws and how long it takes is not in the map")
     for level in levels.values():
         for start, end, parameters, lane in level.lanes:
-            _lane(level, names.get((level.name, start)), names.get((level.name, end)), parameters, lane, site)
+            ends = names.get((level.name, start)), names.get((level.name, end))
+            if ends[0] is not None and ends[1] is not None:
+                _lane(ends[0], ends[1], parameters, lane, site)
 
 
 def _named(level: _Level) -> list[tuple[tuple[str, int], list[Value]]]:
@@ -263,18 +265,13 @@ def _named(level: _Level) -> list[tuple[tuple[str, int], list[Value]]]:
     return [(key, parts) for key, parts in listed if len(parts) > 3 and str(parts[3].data or "").strip()]
 
 
-def _lane(
-    level: _Level, start: str | None, end: str | None, parameters: dict[str, Any], lane: Value, site: Site
-) -> None:
-    if start is None or end is None:
-        return
+def _lane(start: str, end: str, parameters: dict[str, Any], lane: Value, site: Site) -> None:
     both = parameters.get("bidirectional", parameters.get("is_bidirectional", False)) is True
     limit = parameters.get("speed_limit")
     speed = float(limit) if isinstance(limit, (int, float)) and 0.0 < limit <= 60.0 else None
     for key, value in parameters.items():
         if key not in _LANE_USED and value:
             site.tell(f"left out: {key[:40]} of a lane", lane.line)
-    graph = parameters.get("graph_idx", 0)
-    if graph:
+    if graph := parameters.get("graph_idx", 0):
         site.tell(f"lane of graph {graph} (--graph takes one graph alone)", lane.line)
     site.edge(start, end, lane.line, both_ways=both, max_speed=speed)
