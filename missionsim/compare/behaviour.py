@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import is_clock
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline, integrate
 from missionsim.files import Json
@@ -99,7 +100,7 @@ class Stages:
         rates = dict(line.rates)
         if stretch_rates:
             safe = np.where(factor > 0.0, factor, 1.0)
-            rates = {name: rate if _is_clock(name) else rate / safe for name, rate in rates.items()}
+            rates = {name: rate if name == "time_s" or is_clock(name) else rate / safe for name, rate in rates.items()}
         if "moving_time_s" in columns:
             spent = np.where(self._standing(), 0.0, duration)
             columns["moving_time_s"] = np.cumsum(spent) - spent
@@ -119,10 +120,6 @@ class Stages:
     def _ramps(self) -> NDArray[np.bool_]:
         rate = np.asarray(self.timeline.rates.get("speed_m_s", np.zeros(len(self.timeline))))
         return np.asarray(rate != 0.0)
-
-
-def _is_clock(name: str) -> bool:
-    return name == "moving_time_s" or name.startswith("on_time_") or name == "time_s"
 
 
 def ratio(a: float, b: float) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.base import Effect, Parameters, ParameterSpec
-from missionsim.effects.covariates import Covariates, Value, is_moving, label_equals, number
+from missionsim.effects.covariates import Covariates, Value, is_clock, is_moving, label_equals, number
 from missionsim.errors import InputError
 from missionsim.expressions import REMEMBERED, Expression
 from missionsim.physics.lag import lagged
@@ -171,7 +171,7 @@ def expression_term(id: str, formula: Expression, specs: tuple[ParameterSpec, ..
         return formula.evaluate({**aliased(cov), **p, REMEMBERED: partial(_remembered, cov)}) * _ones(cov)
 
     text, sign = (formula.source, "robot file", formula.source), 1 if specs and specs[0].low >= 0.0 else 0
-    memory = tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_"))
+    memory = tuple(filter(is_clock, needs))
     return Effect(id, *text, specs, needs, power, drive=drive, sign=sign, memory=memory, lags=formula.lags)
 
 

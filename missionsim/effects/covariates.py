@@ -49,6 +49,11 @@ def number(cov: Covariates, name: str, default: float = 0.0) -> Value:
     return default if value is None else value
 
 
+def is_clock(name: str) -> bool:
+    """Whether a covariate is the time since something began."""
+    return name == "moving_time_s" or name.startswith("on_time_")
+
+
 def is_moving(cov: Covariates) -> Truth:
     """Whether the robot moves: it stands where |v| < 0.005 m/s and |ω| < 0.02 rad/s (contract); sideways counts as v.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Columns, Labels, Value, is_text
+from missionsim.effects.covariates import Columns, Labels, Value, is_clock, is_text
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.physics import Array
 from missionsim.physics.lag import GOES_ON, SETTLED, Lagged
@@ -59,7 +59,7 @@ class Timeline:
             else:
                 cov[name] = np.asarray(value, dtype=float)[index][:, None]
         for name in self.rates:
-            if name in cov and (memory is None or name in memory or not _is_clock(name)):
+            if name in cov and (memory is None or name in memory or not is_clock(name)):
                 change = self.rates[name][index]
                 if change.any():
                     cov[name] = cov[name] + change[:, None] * offset_s
@@ -70,7 +70,7 @@ class Timeline:
         (``moving_time_s`` …) that no term of the model reads are ignored."""
         result = np.full(len(self), bool(model.lags))
         for name in self.rates:
-            if name in model.memory or not _is_clock(name):
+            if name in model.memory or not is_clock(name):
                 result |= np.asarray(self.rates[name]) != 0.0
         return result
 
@@ -130,10 +130,6 @@ class Lazily(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._names)
-
-
-def _is_clock(name: str) -> bool:
-    return name == "moving_time_s" or name.startswith("on_time_")
 
 
 RELATIVE_TOLERANCE = 1e-11
