@@ -127,11 +127,8 @@ def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec) -> 
     if scheme.default_navigation is not None:
         check.known((*where, "default_navigation"), scheme.default_navigation, scheme.navigation, "navigation")
     if scheme.processor and robot.processor is None and "processor" not in check.raw_keys():
-        message, allowed = (
-            "the robot has no processor that this table could be for",
-            "processor: {battery: …} in the robot",
-        )
-        check.add((*where, "processor"), message, "", allowed, key=True)
+        message = "the robot has no processor that this table could be for"
+        check.add((*where, "processor"), message, "", "processor: {battery: …} in the robot", key=True)
     if scheme.motion and scheme.image_analysis:
         message = "image analysis is done standing"
         check.add((*where, "image_analysis"), message, "motion: true", "motion: false", key=True)

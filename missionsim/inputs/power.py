@@ -171,10 +171,8 @@ def _components(robot: RobotSpec) -> Iterator[Term]:
         if startup is not None and startup.power is not None:
             load = component.loads[0]
             link = _link(robot, load)
-            key, effect = (
-                TermKey(load.battery, name, f"{name} start-up"),
-                base_terms.component_term(name, starting=True),
-            )
+            key = TermKey(load.battery, name, f"{name} start-up")
+            effect = base_terms.component_term(name, starting=True)
             parameters, names = {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}
             yield Term(key, effect, parameters, names, scale=1.0 / link[1], link=link)
 

@@ -82,10 +82,8 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
     draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
     numbers, drawn = split_values(draws, made.model)
     values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
-    intervals, part = (
-        made.split(RunSetup(made.mission, plan_runs(made.mission, numbers), made.model, numbers, {}))[0],
-        slice(0, 2),
-    )
+    setup, part = RunSetup(made.mission, plan_runs(made.mission, numbers), made.model, numbers, {}), slice(0, 2)
+    intervals, _ = made.split(setup)
     duration = intervals.duration(part)
     cov, rates = made.covariates(intervals, part, duration, running_sum(duration.T))
     for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
