@@ -28,10 +28,10 @@ def diagnosed(levels: dict[str, float]) -> BatteryDiagnosis:
     logs: list[Run] = []
     for seed in range(9):
         floor = list(levels)[seed % len(levels)]
-        log = drive(seed, noise=0.02, seconds=300.0, surface=[floor] * 300)
+        log = drive(seed, noise=0.02, seconds=200.0, surface=[floor] * 200)
         power = log.power_w["robot"] + levels[floor] * np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
         logs.append(drawing(log, power))
-    logs.append(drive(9, seconds=300.0, surface=["ice"] * 300, yaw_rate_rad_s=np.zeros(300)))
+    logs.append(drive(9, seconds=200.0, surface=["ice"] * 200, yaw_rate_rad_s=np.zeros(200)))
     return diagnose(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
 
 
