@@ -134,10 +134,21 @@ class Forecast:
 class OnlinePredictor:
     """Follows a mission sample by sample.
 
-    `expected`: of the battery watched. `available_j`: energy in it at the start; `reserve_j`: not to be touched.
-    `model_sd`, `meter_sd`, `noise_sd`: relative standard deviations of the model's total (the paper's 4 %), of the
-    meter (2 %) and of the power about its mean (4 %), the last over `correlation_s`, for which deviations of the power
-    persist. `confidence`: standard deviations by which a decision must be safe.
+    Parameters
+    ----------
+    expected : ExpectedRun
+        Of the battery watched.
+    available_j : float
+        Energy in the battery at the start.
+    reserve_j : float
+        Not to be touched.
+    model_sd, meter_sd, noise_sd : float
+        Relative standard deviations: of the model's total (the paper's 4 %), of the meter (2 %) and of the power about
+        its mean (4 %), the last over `correlation_s`.
+    correlation_s : float
+        Time over which deviations of the power persist.
+    confidence : float
+        Standard deviations by which a decision must be safe.
     """
 
     def __init__(
@@ -176,8 +187,13 @@ class OnlinePredictor:
         return cls(expected, available, spec.capacity_j * float(reserve), **options)
 
     def update(self, time_s: float, power_w: float, speed_m_s: float = 0.0) -> None:
-        """One sample: time from the start (s), power of the battery (W), speed (m/s, sideways speed included). Raises
-        InputError: the time does not increase."""
+        """One sample: time from the start (s), power of the battery (W), speed (m/s, sideways speed included).
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            When the time does not increase.
+        """
         speed = speed_m_s if speed_m_s >= 0.0 else -speed_m_s
         if self._time is None:
             self._time, self._power, self._speed, self._first = time_s, power_w, speed, time_s
@@ -241,8 +257,17 @@ class OnlinePredictor:
     ) -> Iterator[Forecast]:
         """Samples of a log in columns; a forecast every `every_s` seconds and after the last sample.
 
-        `columns`: ``time_s``, ``power_<battery>_w`` or voltage and current, ``speed_m_s`` and perhaps
-        ``lateral_speed_m_s``. Raises InputError: a column is missing.
+        Parameters
+        ----------
+        columns : mapping
+            ``time_s``, ``power_<battery>_w`` or voltage and current, ``speed_m_s`` and perhaps ``lateral_speed_m_s``.
+        battery : str
+        every_s : float
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            Where a column is missing.
         """
         time = np.asarray(_column(columns, "time_s"), dtype=float)
         if f"power_{battery}_w" in columns:

@@ -149,7 +149,13 @@ def build_app(commands: Mapping[str, tuple[str, str]], help: str) -> App:
 
 
 def whole_call(app: App, words: Sequence[str]) -> Call:
-    """A call by the whole parser, which raises CycloptsError where the command line is at fault."""
+    """A call by the whole parser.
+
+    Raises
+    ------
+    cyclopts.CycloptsError
+        Where the command line is at fault.
+    """
     function, bound, _ = app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)
     return Call(function, bound.args, bound.kwargs)
 
@@ -183,8 +189,13 @@ _REFERENCES = ("robot", "environment", "mission")
 
 
 def check_targets(call: Call) -> None:
-    """Refuse ``--json``, ``--out`` and ``--report`` that cannot be written, or that are an input or each other:
-    InputError with every such path."""
+    """Refuse ``--json``, ``--out`` and ``--report`` that cannot be written, or that are an input or each other.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With every such path.
+    """
     bound = inspect.signature(call.function).bind(*call.arguments, **call.options).arguments
     targets: list[tuple[str, Target, Path]] = []
     inputs: list[str] = []

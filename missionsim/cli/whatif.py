@@ -137,7 +137,13 @@ def _mirrored(difference: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
 
 
 def split_values(text: str) -> list[str]:
-    """Values between commas that stand in no bracket, brace or quote. Raises InputError: a value is empty."""
+    """Values between commas that stand in no bracket, brace or quote.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where a value is empty.
+    """
     values, depth, quote, current = [], 0, "", ""
     for letter in text:
         if quote:

@@ -44,8 +44,20 @@ def remembered() -> Iterator[None]:
 
 
 def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> RobotSpec:
-    """Load a shipped robot by name (``pioneer3dx``), or a robot file. `overrides`: values to set first, such as
-    ``("batteries.robot.capacity", "100 Wh")``. Raises InputError: all faults of the file."""
+    """Load a shipped robot by name, or a robot file.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        ``pioneer3dx`` or a path.
+    overrides : sequence of (path, value)
+        Values to set first, such as ``("batteries.robot.capacity", "100 Wh")``.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
     path = find_robot(str(name_or_path), None)
     if path is None:
         raise InputError(unknown_robot(str(name_or_path), None, ()))
@@ -75,8 +87,19 @@ def load_mission(
 ) -> MissionSpec:
     """Load a mission with its robot and environment.
 
-    `overrides`: what to set first; ``robot.…`` and ``environment.…`` lead into those files. `robot`: in place of the
-    mission's own. Raises InputError: all faults of all files.
+    Parameters
+    ----------
+    path : path-like
+        Mission file.
+    overrides : sequence of (path, value)
+        What to set first; ``robot.…`` and ``environment.…`` lead into those files.
+    robot : str, path-like or RobotSpec, optional
+        Robot in place of the mission's own.
+
+    Raises
+    ------
+    InputError
+        All faults of all files.
     """
     faults: list[Fault] = []
     return _finish(_load_joined(Path(path), MissionSpec, faults, overrides, robot), faults)
