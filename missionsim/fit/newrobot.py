@@ -86,7 +86,7 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
             hint=did_you_mean(robot.battery, measured),
         )
     formula = _formula(robot, logs)
-    remarks: list[str] = []
+    remarks = _one_sided(formula, logs)
     components = _components(logs, robot.battery, remarks)
     parameters = sorted(formula.names - _columns(formula, logs))
     standing = _has_standing(logs, robot.battery, remarks)
@@ -154,6 +154,22 @@ def _formula(robot: NewRobot, logs: Sequence[Run]) -> Expression:
                 hint=did_you_mean(wanted, columns),
             )
     return formula
+
+
+def _one_sided(formula: Expression, logs: Sequence[Run]) -> list[str]:
+    """Told where turns (or ways) to one side give other power by the formula than those to the other."""
+    remarks = []
+    for name in sorted(formula.names):
+        column = ALIASES.get(name, name)
+        if column not in ("yaw_rate_rad_s", "lateral_speed_m_s"):
+            continue
+        left, right = (formula.evaluate(dict.fromkeys(formula.names, 1.0) | {name: sign}) for sign in (1.0, -1.0))
+        values = [log.number(column) for log in logs if column in log.columns]
+        if left != right and min(map(np.nanmin, values)) < 0.0 < max(map(np.nanmax, values)):
+            remarks.append(
+                f"{name} has a sign, and this formula gives other power to one side than to the other: for both alike, abs({name})"
+            )
+    return remarks
 
 
 def _columns(formula: Expression, logs: Sequence[Run]) -> set[str]:

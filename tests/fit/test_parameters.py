@@ -104,6 +104,17 @@ def test_noise_that_grows_with_power_does_not_break_a_poor_formula() -> None:
     assert fit.parameters["standing"].value == pytest.approx(float(np.mean(power[speed == 0.0])), abs=3.0)
 
 
+def test_a_signed_turn_rate_in_a_formula_is_told() -> None:
+    """Turns to both sides: cw*w averages to nothing over them, cw*abs(w) does not."""
+    logs = [drive(seed, seconds=300.0, scrub_w_s_rad=40.0) for seed in range(3)]
+    rates = np.concatenate([np.asarray(log.columns["yaw_rate_rad_s"]) for log in logs])
+    assert rates.min() < 0.0 < rates.max()
+    signed = calibrate_new(NewRobot("skid", "c3*v + cw*w + c4"), logs).remarks
+    assert any("for both alike, abs(w)" in remark for remark in signed)
+    both = calibrate_new(NewRobot("skid", "c3*v + cw*abs(w) + c4"), logs).remarks
+    assert not any("has a sign" in remark for remark in both)
+
+
 def test_a_formula_whose_parameters_cannot_be_told_apart() -> None:
     with pytest.raises(InputError, match="cannot tell some parameters"):
         calibrate_new(NewRobot("rover", "k1*v + k2*v + k3"), LOGS)
