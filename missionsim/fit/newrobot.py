@@ -167,7 +167,7 @@ def _one_sided(formula: Expression, logs: Sequence[Run]) -> list[str]:
         values = [log.number(column) for log in logs if column in log.columns]
         if left != right and min(map(np.nanmin, values)) < 0.0 < max(map(np.nanmax, values)):
             remarks.append(
-                f"{name} has a sign, and this formula gives other power to one side than to the other: for both alike, abs({name})"
+                f"{name} has a sign, this formula gives one side more power than the other: for both alike, abs({name})"
             )
     return remarks
 
