@@ -62,15 +62,17 @@ class Grammar:
         return [np.array([np.prod([rows[j] for rows in form], axis=0) for form in factors]) for j in runs]
 
     def with_levels(self, name: str, parts: Mapping[int, float]) -> Grammar:
-        """The grammar with one factor more: levels of a label, each its part of the highest."""
-        told = [(f"{part:.2g}", self.factors[i]) for i, part in parts.items()]
-        text = " + ".join(f"{part} * {factor.text}" for part, factor in told)
-        symbol = " + ".join(f"{part}·{factor.symbol}" for part, factor in told)
-        sizes = [(float(part), self.values[i]) for (part, _), i in zip(told, parts, strict=True)]
+        """The grammar with one factor more: levels of a label, each its part of the highest. What all have in common
+        stands alone, so that a level which no run has seen is not free of cost."""
+        least = min(float(f"{part:.2g}") for part in parts.values())
+        more = {i: float(f"{part - least:.2g}") for i, part in parts.items() if part > least + 0.005}
+        common = [f"{least:.2g}"] if least else []
+        text = " + ".join(common + [f"{part:.2g} * {self.factors[i].text}" for i, part in more.items()])
+        symbol = " + ".join(common + [f"{part:.2g}·{self.factors[i].symbol}" for i, part in more.items()])
 
         def values() -> list[Array]:
-            runs = zip(*(made() for _, made in sizes), strict=True)
-            return [np.sum([size * x for (size, _), x in zip(sizes, run, strict=True)], axis=0) for run in runs]
+            runs = zip(*(self.values[i]() for i in more), strict=True)
+            return [least + np.sum([p * x for p, x in zip(more.values(), run, strict=True)], axis=0) for run in runs]
 
         new = Factor(name, f"({text})", f"({symbol})", 1, fine=True)
         return Grammar((*self.factors, new), (*self.values, values))

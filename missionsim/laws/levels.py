@@ -66,8 +66,9 @@ def _with_levels(search: Search, fitted: Fitted, form: tuple[int, ...], levels: 
     every = range(len(ground.chosen), len(design.phi))
     size = {i: float(shares[k]) * design.layout.unit(k) for i, k in zip(levels, every, strict=True)}
     most = max(size.values())
-    parts = {i: own / most for i, own in size.items() if own > max(LEAST_LEVEL * most, 0.0)}
-    return _Levels(form, parts, left_out(model, len(levels)).with_law) if len(parts) > 1 else None
+    parts = {i: own / most if own > max(LEAST_LEVEL * most, 0.0) else 0.0 for i, own in size.items()}
+    several = np.count_nonzero([*parts.values()]) > 1
+    return _Levels(form, parts, left_out(model, len(levels)).with_law) if several else None
 
 
 def _differing(search: Search, levels: Sequence[int]) -> list[tuple[int, ...]]:

@@ -219,15 +219,12 @@ def _freeze(
     power, fresh = {}, {}
     for battery, kind in kinds.items():
         power[battery], mask = battery_power(rows.columns, battery, kind)
-        names = [name.format(battery) for name in _SOURCES[kind]]
-        masks = [repeated[name] for name in names if name in repeated]
         if kind == "energy" and mask is not None:
             told = f"the counter moves in {int(mask.sum())} of {len(mask)} rows"
             action = "power is its increment over the time since it moved before"
             rows.remark("repeated", f"energy_{battery}_wh", told, action, "note", count=int((~mask).sum()))
-        if masks and (len(masks) == len(names) or kind == "power"):
-            mask = np.logical_or.reduce(masks)
-        fresh[battery] = mask
+        # of a product the current tells: a voltage drifts between readings, or is too coarse to show them
+        fresh[battery] = repeated.get(_SOURCES[kind][-1].format(battery), mask)
         if statistics:
             suspect.check_dead_meter(rows, battery, power[battery])
             suspect.check_ceiling(rows, battery, power[battery])
