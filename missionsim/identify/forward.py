@@ -115,9 +115,8 @@ class Forward:
         """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""
         from scipy.special import stdtrit
 
-        freedom = max(len(self.squares.sums) - 1, 1)
         level = max(FAMILY_LEVEL, settings.alpha) / max(len(self.trials), 1)
-        factor = POWER_Z - float(stdtrit(freedom, 0.5 * level))
+        factor = POWER_Z - float(stdtrit(max(len(self.squares.sums) - 1, 1), 0.5 * level))
         out = np.full(columns, np.inf)
         for trial in self.trials.values():
             out[list(trial.columns)] = np.maximum(factor * np.sqrt(np.diag(trial.covariance)), settings.min_share)
@@ -285,14 +284,19 @@ class _Search:
                 return chosen
 
     def tried(self, number: int, columns: Sequence[int], beside: Sequence[int]) -> Trial | None:
-        """An effect beside others; None where physics forbids the sign that it would take."""
+        """An effect beside others; None where physics forbids the sign that it would take. What all levels of a label
+        have in common is the base's where that predicts as well."""
         own, sign = list(columns), self.candidates[number].sign
         # levels that point the wrong way go one at a time, the worst first: without it the others may turn
         while own:
             value = self.squares.fit([*beside, *own])[-len(own) :] * [self.layout.unit(k) for k in own]
             wrong = sign * value if sign else np.abs(value)
             if wrong.min() >= 0.0:
-                return self.measured(number, own, beside)
+                least, trial = int(np.argmin(wrong)), self.measured(number, own, beside)
+                if 1 < len(own) == sum(column.candidate == number for column in self.layout.columns):
+                    fewer = self.measured(number, own[:least] + own[least + 1 :], beside)
+                    trial = fewer if fewer.left.total < (1.0 + PASS_THROUGH_FALL) * trial.left.total else trial
+                return trial
             own.pop(int(np.argmin(wrong)))
         return None
 
@@ -305,8 +309,7 @@ class _Search:
         from scipy.special import fdtrc
 
         squares, layout = self.squares, self.layout
-        before = squares.leave_out(beside)
-        chosen = [*beside, *own]
+        before, chosen = squares.leave_out(beside), [*beside, *own]
         after = squares.leave_out(chosen)
         value, covariance = squares.jackknife(chosen, after)
         shares, own_covariance = value[-len(own) :], covariance[-len(own) :, -len(own) :]
@@ -346,8 +349,7 @@ class _Search:
         twin = self.candidates[number].prior
         if twin is None or twin not in self.layout.parameters:
             return True
-        sd = self.squares.prior_sd[self.layout.parameters.index(twin)]
-        return bool(self.settings.recalibration_limit * sd < 1.0)
+        return bool(self.settings.recalibration_limit * self.squares.prior_sd[self.layout.parameters.index(twin)] < 1.0)
 
     def _beyond_recalibration(self, number: int, column: int, share: float) -> bool:
         """Whether an effect that a base parameter imitates is more than a shift of it that its prior allows, and takes

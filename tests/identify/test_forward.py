@@ -59,6 +59,24 @@ def test_a_level_whose_sign_another_effect_turns_leaves_the_set() -> None:
     assert search._kept((1, 2, 0)) == (2, 0)
 
 
+@pytest.mark.parametrize(("base_sd", "levels"), [(10.0, (2,)), (0.01, (1, 2))])
+def test_what_all_floors_have_in_common_is_the_bases_where_that_may_move(
+    base_sd: float, levels: tuple[int, ...]
+) -> None:
+    """Both floors cost something that the base has too little of."""
+    rng, folds = np.random.default_rng(1), []
+    for number in range(8):
+        speed, rough = rng.uniform(0.0, 1.0, 600), float(number % 2)
+        power = (5.0 + 3.0 * rough) * speed + 0.5 * rng.normal(size=600)
+        floors = [(1.0 - rough) * speed, rough * speed]
+        folds.append(np.vstack([power, speed, 0.0 * speed, *floors, np.ones(600), 10.0 + power]))
+    squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.array([base_sd]), np.arange(8))
+    columns = [Column(0, 0, "grade", 1.0), Column(1, 0, "tile", 1.0), Column(1, 1, "grass", 1.0)]
+    layout = Layout(("c3",), np.zeros(1), tuple(columns), 10.0, 1.0)
+    effects = [Candidate("grade", ("grade",)), Candidate("floor", ("tile", "grass"), levels=("tile", "grass"))]
+    assert _Search(squares, layout, effects, Settings()).tried(1, [1, 2], ()).columns == levels
+
+
 def test_an_effect_that_later_ones_make_needless_leaves_the_set() -> None:
     """Turns on slopes look like one thing, until slope and turns are both in."""
     rng = np.random.default_rng(3)

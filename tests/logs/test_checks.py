@@ -159,6 +159,15 @@ def test_power_repeated_from_a_slower_topic_counts_once(tmp_path: Path) -> None:
     assert np.flatnonzero(fresh).tolist() == list(range(0, 4000, 20))
 
 
+def test_a_current_that_is_held_counts_once_though_the_voltage_drifts(tmp_path: Path) -> None:
+    columns = motion(4000, 0.2)
+    columns["current_robot_a"] = np.repeat(columns.pop("power_robot_w")[::5] / 24.0, 5)
+    columns["voltage_robot_v"] = np.round(24.0 - 0.0005 * np.arange(4000), 2)
+    fresh = read(tmp_path, columns).fresh["robot"]
+    assert fresh is not None
+    assert np.flatnonzero(fresh).tolist() == list(range(0, 4000, 5))
+
+
 def test_frozen_sensor(tmp_path: Path) -> None:
     columns = motion()
     columns["power_robot_w"][100:150] = columns["power_robot_w"][100]
