@@ -210,7 +210,7 @@ def _freeze(
         batteries, components = (tuple(robot.batteries), tuple(robot.components)) if robot is not None else ((), ())
         suspect.check_names(rows, batteries, components)
         limit = robot.body.max_speed if robot is not None else None
-        suspect.check_magnitudes(rows, None if limit is None else float(limit))
+        suspect.check_magnitudes(rows, None if limit is None else float(limit), kinds)
         suspect.check_agreement(rows, kinds)
         suspect.check_order(rows)
         switchable = [name for name in components if robot is not None and not robot.components[name].always_on]
@@ -225,7 +225,10 @@ def _freeze(
             rows.remark("repeated", f"energy_{battery}_wh", told, action, "note", count=int((~mask).sum()))
         # of a product the current tells: a voltage drifts between readings, or is too coarse to show them
         fresh[battery] = repeated.get(_SOURCES[kind][-1].format(battery), mask)
-        if statistics:
+    if statistics and power:
+        # a part that is off, or at its full power, is no dead meter and none that is cut off
+        most = max(power, key=lambda name: abs(float(power[name].mean())))
+        for battery in [name for name in batteries if name in power] or [most]:
             suspect.check_dead_meter(rows, battery, power[battery])
             suspect.check_ceiling(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:

@@ -14,7 +14,7 @@ from missionsim.errors import did_you_mean
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import refreshes
+from missionsim.logs.raw import battery_power, refreshes
 from missionsim.physics import Array
 
 Bools = NDArray[np.bool_]
@@ -56,7 +56,7 @@ def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_compone
                 rows.remark("name", name, told, action)
 
 
-def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
+def check_magnitudes(rows: Rows, max_speed_m_s: float | None, batteries: Mapping[str, str]) -> None:
     """Tell columns whose magnitude suggests another unit, and times whose steps do."""
     _check_steps(rows)
     for name, data in rows.columns.items():
@@ -69,7 +69,7 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
         limit, perhaps = found[0].large, found[0].perhaps
         if name == "speed_m_s" and max_speed_m_s:
             limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
-        if large > limit and not _fits_a_vehicle(rows, name):
+        if large > limit and not _fits_a_vehicle(rows, name, batteries):
             rows.remark("unit", name, f"the values reach {large:.4g} {found[0].unit}; perhaps {perhaps}", _LEFT)
         if name == "cpu_freq_hz" and 0 < large < 1e6:
             rows.remark("unit", name, f"the values reach only {large:.4g} Hz; perhaps MHz or GHz", _LEFT)
@@ -78,18 +78,17 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
             rows.remark("unit", name, told, _LEFT)
 
 
-def _fits_a_vehicle(rows: Rows, name: str) -> bool:
+def _fits_a_vehicle(rows: Rows, name: str, batteries: Mapping[str, str]) -> bool:
     """Whether a great speed or power is that of a car: the force between both is one that a vehicle has."""
     speed, found = rows.number("speed_m_s"), column_of(name)
-    powers = [np.asarray(data) for n, data in rows.columns.items() if (c := column_of(n)) and c[0].name == _POWER]
-    if found is None or speed is None or found[0].name not in ("speed_m_s", _POWER) or not powers:
+    if found is None or speed is None or found[0].name not in ("speed_m_s", "power_<battery>_w"):
         return False
+    powers = [battery_power(rows.columns, battery, kind)[0] for battery, kind in batteries.items()]
     fast = float(np.quantile(np.abs(speed[:_SAMPLE]), 0.95))
-    force = float(np.quantile(np.abs(powers[0][:_SAMPLE]), 0.95)) / max(fast, 1e-9)
-    return 5.0 < fast < 45.0 and _FORCES_N[0] < force < _FORCES_N[1]
+    most = max((float(np.quantile(np.abs(power[:_SAMPLE]), 0.95)) for power in powers), default=0.0)
+    return 5.0 < fast < 45.0 and _FORCES_N[0] < most / max(fast, 1e-9) < _FORCES_N[1]
 
 
-_POWER = "power_<battery>_w"
 _FORCES_N = (150.0, 20_000.0)
 """Power over speed of cars and trucks [N]; milliwatts or millimetres are far outside."""
 

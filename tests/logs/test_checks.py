@@ -239,6 +239,16 @@ def test_meter_off_while_driving(tmp_path: Path) -> None:
     assert "exactly zero in" in remark.message
 
 
+def test_a_part_that_is_off_and_a_car_whose_battery_logs_volt_and_ampere_are_no_faults(tmp_path: Path) -> None:
+    columns = motion()
+    columns["speed_m_s"] *= 30.0
+    columns["current_robot_a"] = 400.0 * columns.pop("power_robot_w") / 360.0
+    columns["voltage_robot_v"] = np.full(400, 360.0)
+    columns["power_ac_w"] = np.zeros(400)
+    columns["power_heater_w"] = np.where(np.arange(400) < 150, 5000.0, 0.0)
+    assert [str(r) for r in read(tmp_path, columns).remarks if r.severity != "note"] == []
+
+
 @pytest.mark.parametrize(
     ("column", "change", "severity", "said"),
     [
