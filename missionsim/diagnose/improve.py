@@ -13,6 +13,7 @@ from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import examine
 from missionsim.diagnose.heldout import Models
+from missionsim.diagnose.leftover import fed_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
@@ -324,7 +325,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         bool(heldout),
         first,
         last,
-        stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested),
+        stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested)
+        + fed_note(last, battery, models.runs, heldout),
         untested=untested,
         base_alone=base_alone,
     )

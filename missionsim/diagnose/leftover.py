@@ -1,4 +1,5 @@
-"""A systematic error in one kind of motion, which tests of curves away from ramps and averages over runs pass over."""
+"""A systematic error in one kind of motion, which tests of curves away from ramps and averages over runs pass over; and
+watts that are logged beside, of which the fitted runs hold too little."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Covariates
-from missionsim.identify.findings import Structure
+from missionsim.identify.findings import BatteryDiagnosis, Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
 from missionsim.identify.settings import (
@@ -24,6 +25,7 @@ from missionsim.identify.settings import (
 )
 from missionsim.physics import Array
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
+from missionsim.runs.run import Run
 
 RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
 VARIES: Mapping[str, str] = {
@@ -125,3 +127,32 @@ def watts(power_w: float) -> str:
     """Two significant digits with a sign, never as a power of ten."""
     digits = 1 - math.floor(math.log10(abs(power_w))) if power_w and math.isfinite(power_w) else 0
     return f"{round(power_w, digits):+.{max(digits, 0)}f}".replace("-", "−")
+
+
+MUCH = 0.03
+"""Part of the energy from which on watts that may be drawn are worth a sentence (assumed)."""
+
+
+def fed_note(last: BatteryDiagnosis, battery: str, fitted: Sequence[Run], others: Sequence[Run]) -> str:
+    """In words, what is logged in watts beside a battery and would be much of its energy in other runs, where the
+    fitted ones hold too little of it to show whether the battery feeds it; else empty."""
+    for one in last.candidates:
+        kind, _, column = one.effect.partition(":")
+        least = one.smallest_detectable_share
+        if kind != "logged_power" or one.accepted or least is None:
+            continue
+        here, there = _part_of(column, battery, fitted), _part_of(column, battery, others)
+        if here < least and there > MUCH:
+            return (
+                f" Whether this battery feeds {column} cannot be seen: it would be {100 * here:.1f} % of the energy of "
+                f"the fitted runs, where {100 * least:.1f} % could be seen, and {100 * there:.0f} % in the others. Fit "
+                f"runs with more of it; where it is known to be fed, add-effect --effect {one.effect} --force adds it."
+            )
+    return ""
+
+
+def _part_of(column: str, battery: str, runs: Sequence[Run]) -> float:
+    """Energy of a column in watts as a part of a battery's, if it were fed by it."""
+    own = [run for run in runs if column in run.columns]
+    fed = sum(float(np.nansum(run.number(column) * run.dt_s)) for run in own) * (1e3 if column.endswith("_kw") else 1.0)
+    return fed / max(sum(3600.0 * run.energy_wh(battery) for run in own), 1e-9)

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
-from missionsim.diagnose.leftover import Leftover, standing_out
+from missionsim.diagnose.diagnosis import diagnose_battery
+from missionsim.diagnose.leftover import Leftover, fed_note, standing_out
+from missionsim.diagnose.split import Split
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
@@ -85,3 +88,21 @@ def test_a_diagnosis_does_not_call_it_nothing() -> None:
     assert told in found.to_json()["unexplained"]["shape"]
     assert told in diagnosis_page(Diagnosis("r", {"robot": found}))
     assert "nothing beyond the noise" not in str(words.report(found))
+
+
+@pytest.mark.parametrize(("on", "told"), [(0.01, True), (0.5, False)])
+def test_watts_that_fitted_runs_hold_too_little_of_are_told(on: float, told: bool) -> None:
+    """A heater that the battery does not feed: summer runs hardly switch it on, or half of the time; winter runs do."""
+
+    def run(seed: int, part: float) -> LogTable:
+        log = drive(seed, seconds=200.0, noise=0.03)
+        heater = 4.0 * (np.arange(200) % 50 < 50 * part)
+        return drawing(log, log.power_w["robot"], power_heater_w=heater)
+
+    fitted = [run(seed, on if seed == 3 or not told else 0.0) for seed in range(8)]
+    others = [run(seed, 1.0) for seed in (8, 9)]
+    split = Split(tuple(fitted), tuple(others), "winter")
+    last = diagnose_battery(Subject.of(load_robot("pioneer3dx")), split, "robot", None, Settings())
+    note = fed_note(last, "robot", fitted, others)
+    assert ("logged_power:power_heater_w --force" in note) is told
+    assert ("% in the others" in note) is told
