@@ -13,7 +13,7 @@ from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import examine
 from missionsim.diagnose.heldout import Models
-from missionsim.diagnose.leftover import fed_note
+from missionsim.diagnose.leftover import beyond_note, fed_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
@@ -326,6 +326,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         first,
         last,
         stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested)
+        + (beyond_note(models.runs, heldout) if unseen_note(last) else "")
         + fed_note(last, battery, models.runs, heldout),
         untested=untested,
         base_alone=base_alone,
@@ -348,6 +349,7 @@ def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
 
 
 def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str] = (), *, tested: bool = True) -> str:
+    unseen = unseen_note(last) if tested else ""
     unsure = [e for e in last.effects if e.indistinguishable_from]
     if unsure:
         names = " or ".join((unsure[0].effect, *unsure[0].indistinguishable_from))
@@ -359,10 +361,11 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
         names = " or ".join(undecided.possible)
         return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
     if last.verdict == "unexplained_structure" and last.unexplained.shape:
-        return f"something remains that the library does not contain: {last.unexplained.shape}."
+        told = f"something remains that the library does not contain: {last.unexplained.shape}."
+        return told + (f" Beside that, {unseen}." if unseen else "")
     if declined:
         return f"declined: {', '.join(declined)}."
-    if tested and (unseen := unseen_note(last)):
+    if unseen:
         return f"{unseen}."
     if nothing:
         return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."

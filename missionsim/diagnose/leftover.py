@@ -23,7 +23,9 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     SMALL_TIME,
 )
+from missionsim.labels import Labels
 from missionsim.physics import Array
+from missionsim.runs.covariates import may_be_cause
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
 from missionsim.runs.run import Run
 
@@ -127,6 +129,26 @@ def watts(power_w: float) -> str:
     """Two significant digits with a sign, never as a power of ten."""
     digits = 1 - math.floor(math.log10(abs(power_w))) if power_w and math.isfinite(power_w) else 0
     return f"{round(power_w, digits):+.{max(digits, 0)}f}".replace("-", "−")
+
+
+BEYOND_SD = 2.0
+"""Standard deviations of the fitted runs' means from which on other runs lie beyond them (assumed)."""
+
+
+def beyond_note(fitted: Sequence[Run], others: Sequence[Run]) -> str:
+    """In words, the columns whose mean over other runs lies beyond those of the fitted runs, and those with texts that
+    none has; empty where there are none."""
+    found = []
+    for name in sorted(set.intersection(*(set(run.covariates()) for run in (*fitted, *others)))):
+        here, there = ([run.columns[name] for run in own] for own in (fitted, others))
+        texts = [{str(text) for x in own if isinstance(x, Labels) for text in x.texts()} for own in (here, there)]
+        if new := sorted(texts[1] - texts[0]):
+            found.append(f"{name} ({', '.join(new)})")
+        elif may_be_cause(name) and not texts[0]:
+            means, other = (np.array([np.mean(run.number(name)) for run in own]) for own in (fitted, others))
+            away = abs(float(other.mean() - means.mean()))
+            found += [name] if away > max(float(np.ptp(means)) / 2.0, BEYOND_SD * float(means.std())) else []
+    return f" They lie beyond the fitted ones in {', '.join(found)}." if found else ""
 
 
 MUCH = 0.03

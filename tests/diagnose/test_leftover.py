@@ -7,7 +7,7 @@ import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.leftover import Leftover, fed_note, standing_out
+from missionsim.diagnose.leftover import Leftover, beyond_note, fed_note, standing_out
 from missionsim.diagnose.split import Split
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
@@ -106,3 +106,13 @@ def test_watts_that_fitted_runs_hold_too_little_of_are_told(on: float, told: boo
     note = fed_note(last, "robot", fitted, others)
     assert ("logged_power:power_heater_w --force" in note) is told
     assert ("% in the others" in note) is told
+
+
+def test_what_the_runs_not_used_have_beyond_the_fitted_ones_is_told() -> None:
+    def run(seed: int, warm_c: float, floor: str) -> LogTable:
+        log = drive(seed, seconds=100.0, surface=[floor] * 100)
+        return drawing(log, log.power_w["robot"], temp_ambient_c=np.full(100, warm_c))
+
+    summer = [run(seed, 15.0 + 4.0 * seed, "tile" if seed % 2 else "grass") for seed in range(4)]
+    assert beyond_note(summer, [run(4, 2.0, "tile"), run(5, -4.0, "snow")]).endswith("surface (snow), temp_ambient_c.")
+    assert beyond_note(summer, [run(6, 20.0, "tile")]) == ""

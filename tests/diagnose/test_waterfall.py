@@ -164,7 +164,9 @@ def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> Non
     assert _why(quiet, ()) == "nothing is left above the detection limits."
     held = HeldOut("the last run", ("run_05",), {"nominal": 20.0, "recalibrated": 20.6, "with_effects": 20.6}, HELD)
     far = replace(quiet, heldout=held)
-    for told in (words.headline(far), _why(far, ())):
+    shaped = replace(far, verdict="unexplained_structure", unexplained=replace(far.unexplained, shape="a load"))
+    assert "a load" in _why(shaped, ())
+    for told in (words.headline(far), _why(far, ()), _why(shaped, ())):
         assert "something is missing that the fitted runs do not show" in told
         assert "20.0 %" in told
         assert "no evidence" not in told
