@@ -93,7 +93,9 @@ class NumberAxis:
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN. Returns None where no row has a
-        number."""
+        number, such as where the column is text in this run and a number in others."""
+        if isinstance(column, Labels):
+            return None
         given: Array = np.asarray(column)
         values = np.abs(given) if self._magnitude else given
         if self._factor != 1.0:

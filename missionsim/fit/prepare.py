@@ -206,6 +206,11 @@ def _shared_names(runs: Sequence[Driven], remarks: list[str]) -> set[str]:
     """Covariates that every run has, logged and not assumed; a missing ``on_…`` counts as switched off."""
     known = [set(run.covariates) - run.assumed for run in runs]
     every = set.union(*known)
+    each = [(own, run.covariates) for own, run in zip(known, runs, strict=True)]
+    text = [{isinstance(columns[name], Labels) for own, columns in each if name in own} for name in every]
+    mixed = {name for name, kinds in zip(every, text, strict=True) if len(kinds) > 1}
+    remarks += [f"{name} is text in some runs and a number in others: left out" for name in sorted(mixed)]
+    known, every = [own - mixed for own in known], every - mixed
     found = set.intersection(*known)
     for name in sorted(every - found):
         lacking = [run for run, own in zip(runs, known, strict=True) if name not in own]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from missionsim.compare import compare
 from missionsim.fit import prepare as prepared
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.inputs.loading import robot_from_text
@@ -37,3 +38,10 @@ def test_short_runs_are_evaluated_as_one_with_the_same_gradients(monkeypatch: py
         for name, slope in other.items():
             np.testing.assert_allclose(one[name], slope, atol=1e-9)
     assert [bool(np.any(one["floor.k_ice"])) for one in together] == [False, True, False]
+
+
+def test_a_column_that_is_text_in_one_run_and_a_number_in_others_is_left_out() -> None:
+    logs = [drive(seed, seconds=60.0, mode=["auto"] * 60 if seed == 1 else np.arange(60.0) % 7) for seed in range(3)]
+    made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4"), logs)
+    assert any("mode is text in some runs and a number in others" in remark for remark in made.remarks)
+    assert len(compare(made.fit.model, logs).runs) == 3

@@ -168,6 +168,19 @@ def test_a_current_that_is_held_counts_once_though_the_voltage_drifts(tmp_path: 
     assert np.flatnonzero(fresh).tolist() == list(range(0, 4000, 5))
 
 
+def test_no_payload_is_a_payload_like_others_and_no_missing_word(tmp_path: Path) -> None:
+    told = {}
+    for word in ("none", "heavy", "NaN"):
+        path = write_csv(tmp_path / f"{word}.csv", {**motion(), "temp_ambient_c": np.full(400, np.nan)})
+        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = [f"{lines[0]},payload", *(f"{line},{word}" for line in lines[1:])]
+        path.write_text("\n".join(lines).replace("nan", word if word == "none" else "") + "\n", encoding="utf-8")
+        for log in (read_log(path), *iter_blocks(path, rows=300)):
+            assert "temp_ambient_c" not in log.columns
+            told[word] = str(log.columns["payload"].texts()[0]) if "payload" in log.columns else ""
+    assert told == {"none": "none", "heavy": "heavy", "NaN": ""}
+
+
 def test_frozen_sensor(tmp_path: Path) -> None:
     columns = motion()
     columns["power_robot_w"][100:150] = columns["power_robot_w"][100]

@@ -10,7 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from missionsim.errors import Fault, InputError
+from missionsim.labels import Labels
 from missionsim.logs.formats.dialect import (
     MISSING_WORDS,
     Dialect,
@@ -60,7 +63,7 @@ def read_csv(path: Path, options: Options) -> RawTable:
                 break
             except TextColumn as text:
                 held, rows, words = [], 0, words | {text.name}
-        raw = from_arrow(pa.Table.from_batches(held, file.schema), str(path), file.lines)
+        raw = file.raw(pa.Table.from_batches(held, file.schema))
         raw.remarks[:0] = file.dialect.remarks
         raw.headless, raw.names = file.dialect.headless, file.dialect.names
         if file.cut and (options.most is None or rows < options.most):
@@ -85,7 +88,7 @@ def iter_csv(
     words, done = frozenset[str](), 0
 
     def table() -> RawTable:
-        raw = from_arrow(pa.Table.from_batches(held), str(path), file.lines, first)
+        raw = file.raw(pa.Table.from_batches(held), first)
         raw.remarks[:0] = file.dialect.remarks if not first else []
         raw.names = file.dialect.names
         return raw
@@ -205,6 +208,18 @@ class _File:
             if name is None or name in fixed:
                 raise
             raise TextColumn(name, given) from None
+
+    def raw(self, table: Any, first_row: int = 0) -> RawTable:
+        """The table's columns. A label that begins with the word none (no payload) is not missing where it says so."""
+        raw = from_arrow(table, str(self.path), self.lines, first_row)
+        for name, word in zip(self.dialect.names, self.dialect.first, strict=False):
+            if word == "none" and wanted_kind(name) != "number" and (data := raw.columns.get(name)) is not None:
+                if isinstance(data, Labels):
+                    codes = np.where(data.codes < 0, len(data.names), data.codes)
+                    raw.columns[name] = Labels(codes, (*data.names, word))
+                elif np.isnan(data).all():
+                    raw.columns[name] = Labels(np.zeros(len(data), dtype=np.int64), (word,))
+        return raw
 
     def _is_stamp(self, name: str) -> bool:
         """Whether a column of times begins with no number: a date or a time of day."""
