@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
+from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.files import Json
@@ -29,6 +30,9 @@ LEAST_USABLE = 0.5
 LEAST_EXPLAINED = -10.0
 """Share of the variance below which a fit has run away: a plain mean explains nought of it."""
 LARGEST_INFLATION = 1e8
+SLOW_ROW_S, OFTEN = 0.3, 0.05
+"""From rows of that length on, it matters where in a row the robot starts or stops, if it does so in that part of the
+rows in which it moves: in a small world what moving costs was then off by up to the same part."""
 SETTLING_ROUNDS = 30
 
 
@@ -244,8 +248,23 @@ def fit_parameters(
         explained(after, ready),
         runs=tuple(log.run for log in logs),
         seconds=after.total.seconds,
-        remarks=tuple(dict.fromkeys([*ready.remarks, *remarks])),
+        remarks=tuple(dict.fromkeys([*ready.remarks, *remarks, *_blurred(ready)])),
     )
+
+
+def _blurred(ready: Prepared) -> list[str]:
+    """Told where rows are too slow for a robot that starts and stops often: such a row holds standing and moving."""
+    on = [np.asarray(is_moving(run.covariates)) for run in ready.runs if "speed_m_s" in run.covariates]
+    moving = sum(int(np.count_nonzero(one)) for one in on)
+    changes = sum(int(np.count_nonzero(np.diff(one))) for one in on)
+    row_s = float(np.median(ready.seconds()))
+    if row_s < SLOW_ROW_S or changes < max(OFTEN * moving, 1.0):
+        return []
+    return [
+        f"the robot starts or stops in {changes / moving:.0%} of the rows in which it moves, each {row_s:.2g} s long: "
+        "where in them, the log does not say, so that what moving costs and what grows with speed may be off by as "
+        "much, beyond their intervals; log at 5 Hz or more, or drive longer between stops"
+    ]
 
 
 def explained(errors: Errors, ready: Prepared) -> float:

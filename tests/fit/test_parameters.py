@@ -104,6 +104,36 @@ def test_noise_that_grows_with_power_does_not_break_a_poor_formula() -> None:
     assert fit.parameters["standing"].value == pytest.approx(float(np.mean(power[speed == 0.0])), abs=3.0)
 
 
+def stop_and_go(seed: int, row_s: float) -> LogTable:
+    """Means over rows of a robot that drives for some seconds and stands for some, written here on a clock of 10 ms."""
+    rng = np.random.default_rng(seed)
+    parts: list[np.ndarray] = []
+    while sum(map(len, parts)) < 30_000:
+        parts += [np.zeros(int(rng.uniform(300, 600))), np.full(int(rng.uniform(500, 900)), rng.uniform(0.2, 0.6))]
+    speed = np.convolve(np.concatenate(parts)[:30_000], np.full(80, 1.0 / 80), mode="same")
+    power = 5.0 + (8.0 + 6.0 * speed**2) * (speed > 1e-6)
+    every = round(100 * row_s)
+    columns = {name: values.reshape(-1, every).mean(axis=1) for name, values in (("v", speed), ("p", power))}
+    time_s = row_s * (np.arange(len(columns["v"])) + 0.5)
+    table = {"time_s": time_s, "speed_m_s": columns["v"]}
+    watts = columns["p"] + 0.05 * rng.standard_normal(len(time_s))
+    return LogTable(
+        f"run{seed}", table, np.full(len(time_s), row_s), {"robot": watts}, {"robot": None}, {"robot": "power"}
+    )
+
+
+def test_rows_too_slow_for_a_robot_that_often_stops_are_told() -> None:
+    """What moving costs (13 W at rest of speed) is off by more than its interval in rows of a second, and told."""
+    slow, fast = (
+        calibrate_new(NewRobot("rover", "c2*v**2 + c4"), [stop_and_go(seed, row_s) for seed in range(3)])
+        for row_s in (1.0, 0.1)
+    )
+    assert slow.fit.parameters["c4"].high < 12.5
+    assert any("log at 5 Hz or more" in remark for remark in slow.remarks)
+    assert fast.fit.parameters["c4"].value == pytest.approx(13.0, rel=0.02)
+    assert not any("log at 5 Hz or more" in remark for remark in fast.remarks)
+
+
 def test_a_signed_turn_rate_in_a_formula_is_told() -> None:
     """Turns to both sides: cw*w averages to nothing over them, cw*abs(w) does not."""
     logs = [drive(seed, seconds=300.0, scrub_w_s_rad=40.0) for seed in range(3)]
