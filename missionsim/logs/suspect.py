@@ -293,8 +293,8 @@ def _rest_of_power(speed: Array, turning: Array, power_w: Array) -> Bools:
         if end - start < STRETCH:
             rest[start:end] = False
     v, p = speed[rest], power_w[rest]
-    if len(v) < 20 or np.std(v) < 0.4 * np.mean(v):
-        return none
+    if len(v) < 20 or np.std(v) < 0.4 * np.mean(v) or np.quantile(v, 0.99) > 0.8 * _SLOW * fast:
+        return none  # what goes on as far as it was looked for is driving
     left = v - v.mean()
     slope = float(left @ (p - p.mean()) / (left @ left))
     sd = float(np.std(p - p.mean() - slope * left) / np.sqrt(left @ left))

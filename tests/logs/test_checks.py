@@ -236,6 +236,15 @@ def test_a_meter_that_is_cut_off_is_told(tmp_path: Path, step_w: float) -> None:
     assert not [r for r in read(tmp_path, {**columns, "power_robot_w": steps}).remarks if r.kind == "ceiling"]
 
 
+def test_rolling_to_a_stop_and_off_again_is_no_noise_at_rest(tmp_path: Path) -> None:
+    """A wheel that gives back what it took: little power at any low speed, up to the last that may be one of rest."""
+    time = np.arange(0.1, 400.0, 0.2)
+    speed = 8.5 * np.abs(np.sin(np.pi * time / 40.0))
+    power = 14.0 + 0.8 * speed**3 + 20.0 * np.random.default_rng(1).normal(size=len(time))
+    log = read(tmp_path, {"time_s": time, "speed_m_s": speed, "power_robot_w": power})
+    assert not [r for r in log.remarks if r.kind == "standstill"]
+
+
 def test_a_robot_that_stands_is_not_frozen(tmp_path: Path) -> None:
     columns = motion()
     columns["speed_m_s"][100:200] = 0.0
