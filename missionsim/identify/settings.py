@@ -151,8 +151,6 @@ GLANCE = 0.6
 """A candidate below this part of the least share is not fitted at all: its share hardly changes by a refit."""
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best, for the same reason."""
-CLOSE_NATS = 8.0
-"""Sets no further behind the best are compared under common noise: noise that is fitted apart differs by some nats."""
 SHAPE_NATS = 3.0
 """ln 20, strong evidence (Kass & Raftery 1995): least lead of an effect with a shape of its own over one without."""
 JOINT_NATS = 0.5

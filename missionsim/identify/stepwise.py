@@ -20,7 +20,6 @@ from missionsim.identify.residual import low_frequency_noise
 from missionsim.identify.rules import LAST_GATES, Question, weigh
 from missionsim.identify.settings import (
     CLOSE,
-    CLOSE_NATS,
     FRESH_NATS,
     GLANCE,
     JOINT_NATS,
@@ -76,7 +75,6 @@ def _next_step(
     # why a candidate was refused is told in the end, whichever step refused it
     refused = dict(found.refused)
     trials = _trials(model, constraints, settings, refused)
-    before = log_likelihood(model) if trials else 0.0
     options: list[tuple[float, Choice]] = []
     for trial in trials:
         fitted = fit_model(source, trial, model, thorough=False)
@@ -86,11 +84,13 @@ def _next_step(
             fitted = fit_model(source, trial)
             weighed = {c: weigh(fitted, c, constraints, candidates, settings) for c in trial}
         if all(e.accepted for e in weighed.values()):
-            options.append((log_likelihood(fitted) - before, Choice(fitted, found.empty, weighed)))
+            owed = float(np.sum(constraints.grid_nats[list(trial)]))
+            options.append((log_likelihood(fitted) - owed, Choice(fitted, found.empty, weighed)))
         else:
             refused.update({c: e for c, e in weighed.items() if c not in model.chosen and not e.accepted})
     while options:
-        option = best = _best(options, constraints)
+        option = max(options, key=lambda one: one[0])
+        best = option[1]
         # the noise without an effect had swallowed it, and a fit that begins there may stay there
         fresh = fit_model(source, best.model.chosen)
         if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
@@ -105,7 +105,7 @@ def _next_step(
             bent.refused.update(refused)
             return bent
         refused.update({k: e for k, e in failed.items() if k in new})
-        options = [other for other in options if other[1] is not option]
+        options.remove(option)
     found.refused.update(refused)
     return None
 
@@ -154,21 +154,6 @@ def _trials(
         if set(swapped) not in [set(t) for t in trials]:
             trials.append(swapped)
     return trials
-
-
-def _best(options: Sequence[tuple[float, Choice]], constraints: Constraints) -> Choice:
-    """The option with the highest likelihood; those that come close are compared with the noise of each in turn."""
-    grid = constraints.grid_nats
-    top = max(rise for rise, _ in options)
-    # under common noise the difference of two sets is a likelihood ratio again
-    close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
-    best = close[0]
-    for other in close[1:]:
-        lead = 2.0 * float(grid[list(best.model.chosen)].sum() - grid[list(other.model.chosen)].sum())
-        lead += sum(m.gram.gain(other.model.chosen) - m.gram.gain(best.model.chosen) for m in (best.model, other.model))
-        if lead > 0:
-            best = other
-    return best
 
 
 def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[str], settings: Settings) -> Choice:
