@@ -114,7 +114,6 @@ def test_diagnosis_beside_simpler_methods_on_equal_rows(folder: Path) -> None:
 
 
 def test_time_grows_no_faster_than_rows(folder: Path) -> None:
-    pytest.importorskip("threadpoolctl", reason="comes with the peers: pip install missionsim[peers]")
     logs = sorted((folder / "train").glob("*.csv"))[:4]
 
     def named(runs: int) -> None:
