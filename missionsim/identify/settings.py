@@ -148,9 +148,8 @@ PROMISING = 0.5
 """A candidate is fitted when its gain before the refit of the noise reaches this part of what is needed: the noise of
 the model without it has swallowed some of its gain."""
 GLANCE = 0.6
-"""A candidate below this part of the least share is not fitted at all: its share hardly changes by a refit."""
-CLOSE = 0.6
-"""The second best is fitted too when it reaches this part of the best, for the same reason."""
+"""A candidate below this part of the least share is not fitted at all: its share hardly changes by a refit, and it
+would take the place of one that does."""
 SHAPE_NATS = 3.0
 """ln 20, strong evidence (Kass & Raftery 1995): least lead of an effect with a shape of its own over one without."""
 JOINT_NATS = 0.5

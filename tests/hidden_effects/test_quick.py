@@ -75,6 +75,11 @@ def test_what_recalibration_takes_of_an_effect_is_no_other_form_of_it():
     assert row("two-rolling_friction-turning_scrub", 1010)["all_named"]
 
 
+def test_what_is_too_small_at_a_glance_takes_no_place_from_what_is_not(tmp_path):
+    folder = write(make(ALL_CASES["mixed-payload-highspeed"], 1010), tmp_path)
+    assert diagnose(folder / "train", folder / "heldout", "pioneer3dx")[0].names == ("payload",)
+
+
 @pytest.mark.study
 def test_two_effects_are_both_named():
     result = row("two-turning_scrub-surface_rolling_resistance")
