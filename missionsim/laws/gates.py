@@ -10,13 +10,11 @@ import numpy as np
 
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
-from missionsim.identify.settings import SEVERAL_RUNS
+from missionsim.identify.settings import SEVERAL_RUNS, Settings
 
 if TYPE_CHECKING:
     from missionsim.laws.search import Fitted
 
-LEAST_SHARE = 0.008
-"""Below this part of the energy, half-moving rows and noisy covariates make forms out of nothing (measured)."""
 LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
 LEAST_BETTER = 0.98
@@ -63,7 +61,7 @@ def gates(fitted: Fitted, block_s: float = BLOCK_S, *, clock: bool = False) -> G
     errors = fitted.errors
     several = len(model.design.runs) > 1
     passed = {
-        "size": abs(share) >= LEAST_SHARE,
+        "size": abs(share) >= Settings.min_share,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": 0.5 * z * z > fitted.penalty,
         "left-out runs": not several
