@@ -150,6 +150,8 @@ the model without it has swallowed some of its gain."""
 GLANCE = 0.6
 """A candidate below this part of the least share is not fitted at all: its share hardly changes by a refit, and it
 would take the place of one that does."""
+CLOSE = 0.6
+"""The second best is fitted too when it reaches this part of the best: what it lacks the noise has swallowed."""
 SHAPE_NATS = 3.0
 """ln 20, strong evidence (Kass & Raftery 1995): least lead of an effect with a shape of its own over one without."""
 JOINT_NATS = 0.5

@@ -19,6 +19,7 @@ from missionsim.identify.profile import refit_shapes_of
 from missionsim.identify.residual import low_frequency_noise
 from missionsim.identify.rules import LAST_GATES, Question, weigh
 from missionsim.identify.settings import (
+    CLOSE,
     FRESH_NATS,
     GLANCE,
     JOINT_NATS,
@@ -144,6 +145,8 @@ def _trials(
         if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < GLANCE * settings.min_share:
             refused.setdefault(k, at_a_glance(model, k, float(gains[k])))
             continue
+        if best and gains[k] < CLOSE * gains[best[0]]:
+            break
         best.append(k)
     trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in best[:TRIED]]
     if trials and model.chosen:
