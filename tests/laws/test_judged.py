@@ -43,7 +43,6 @@ def test_of_two_forms_that_predict_alike_the_likelier_is_best(error: float, best
         near=lambda *_: screened[::-1],
         fit=lambda form, **_: fits[form[0]],
         tried=2,
-        _apart=lambda forms: forms,
         _promising=list,
         _plainest=lambda top: top,
     )
@@ -233,3 +232,22 @@ def test_what_stood_in_for_a_law_goes(
     monkeypatch.setattr(proposal, "left_out", lambda _: SimpleNamespace(with_law=worse))
     fitted = SimpleNamespace(model=model(now, 0.3), watts=law, errors=SimpleNamespace(with_law=1.0))
     assert proposal._replaced(fitted, ground) == (("scrub",) if gone else ())
+
+
+@pytest.mark.parametrize(
+    ("far", "runs", "share", "ratio", "refused"),
+    [
+        (False, 4, 0.0066, 0.97, set()),
+        (False, 4, 0.0064, 0.97, {"size"}),  # half-moving rows and noisy columns make laws of that size
+        (True, 2, 0.05, 0.94, set()),
+        (True, 2, 0.05, 0.96, {"left-out runs"}),  # two runs know little of a product
+    ],
+)
+def test_a_law_is_large_enough_and_predicts_the_runs_left_out(
+    monkeypatch: pytest.MonkeyPatch, far: bool, runs: int, share: float, ratio: float, refused: set[str]
+) -> None:
+    monkeypatch.setattr(gates, "_robust", lambda *_: (share, 1e-4))
+    errors = gates.LeftOut(1.0, ratio, 1.0, 1.0, runs, runs, (ratio,) * runs)
+    model = SimpleNamespace(squares=() if far else None, design=SimpleNamespace(runs=range(runs)))
+    law = SimpleNamespace(model=model, column=0, errors=errors, form=(0, 1), rise=99.0, penalty=9.0)
+    assert {name for name, passed in gates.gates(law).passed.items() if not passed} == refused

@@ -1,6 +1,6 @@
 """Change one line of the package at a time and see whether the quick tests notice; a study, not part of the suite.
 
-``python -m tests.mutants.study [--room physics plan meter rules verdict] [--list]``
+``python -m tests.mutants.study [--room physics plan meter rules verdict search laws] [--list]``
 
 A mutant is killed where the tests of its room fail. What survives is printed: a line that no quick test holds. Each
 mutant runs in a copy of the repository's tests and package, so that the sources stay as they are.
@@ -25,6 +25,8 @@ TESTS = {
     "meter": "tests/engine/test_batteries.py tests/engine/test_cut_short.py tests/engine/test_components.py",
     "rules": "tests/identify/test_rules.py tests/identify/test_numerics.py tests/identify/test_identify.py",
     "verdict": "tests/identify/test_rules.py tests/diagnose/test_factor.py tests/diagnose/test_leftover.py",
+    "search": "tests/hidden_effects/test_quick.py",
+    "laws": "tests/laws",
 }
 """Quick tests of each room; tests/identify/test_method_page.py, which pins constants to the page, is left out."""
 
@@ -117,7 +119,54 @@ MUTANTS = [
         ("UNUSUAL_GAIN = 0.03", "UNUSUAL_GAIN = 3.0"),
         ("ODDS_NATS = 4.6", "ODDS_NATS = -1e9"),
         ("LINE_RATIO = 8.0", "LINE_RATIO = 8e9"),
+        ("PROMISING = 0.5", "PROMISING = 1.0"),
+        ("JOINT_NATS = 0.5", "JOINT_NATS = 5.0"),
+        ("FRESH_NATS = 2.0", "FRESH_NATS = 1e9"),
+        ("MOST_TRIPLES = 20_000", "MOST_TRIPLES = 0"),
+        ("BETWEEN_PART = 0.1", "BETWEEN_PART = 0.0"),
+        ("SAME_COLUMN = 0.995", "SAME_COLUMN = 2.0"),
+        ("NOISY_SLOPE = 1.5", "NOISY_SLOPE = 1.0"),
+        ("RIVAL_PART = 0.5", "RIVAL_PART = 1e9"),
+        ("EXTRA_EFFECT_NATS = 4.0", "EXTRA_EFFECT_NATS = 1e9"),
+        ("BESIDE_RUN_LEVEL = 0.005", "BESIDE_RUN_LEVEL = 1.0"),
+        ("SUPPORT_S = 8.0", "SUPPORT_S = 0.0"),
+        ("FEWEST_HATS = 3", "FEWEST_HATS = 0"),
+        ("STANDS = 0.5", "STANDS = 0.0"),
+        ("SLOW_NOISE = 0.03", "SLOW_NOISE = 1e9"),
+        ("AS_MUCH = 0.9", "AS_MUCH = 0.0"),
     ),
+    *_of("search", "identify/settings.py", ("TRIED = 2", "TRIED = 1"), ("GLANCE = 0.6", "GLANCE = 0.0")),
+    *_of(
+        "laws",
+        "laws/gates.py",
+        ("LEAST_RISE = 6.0", "LEAST_RISE = -1e9"),
+        ("LEAST_BETTER = 0.98", "LEAST_BETTER = 1.0"),
+        ("FEW_BETTER = 0.95", "FEW_BETTER = 0.98"),
+        ("abs(share) >= Settings.min_share", "True"),
+    ),
+    *_of(
+        "laws",
+        "laws/search.py",
+        ("SEEDS = 3", "SEEDS = 1"),
+        ("BENDS = 4", "BENDS = 0"),
+        ("HARDLY_WORSE = 1.03", "HARDLY_WORSE = 1e9"),
+        ("NEEDED_ERROR = 1.02", "NEEDED_ERROR = 1.0"),
+        ("REPEATS, FEW_RUNS = 1.5, 4", "REPEATS, FEW_RUNS = 0.0, 4"),
+        ("CLOSE_ERROR = 1.005", "CLOSE_ERROR = 1.0"),
+    ),
+    *_of(
+        "laws",
+        "laws/proposal.py",
+        ("\nALIKE = 0.06", "\nALIKE = 0.0"),
+        ("CLEARLY = 0.985", "CLEARLY = 1.0"),
+        ("REPLACED = 0.35", "REPLACED = 0.0"),
+        ("AKIN = 0.4", "AKIN = 1e9"),
+        ("SHRUNK = 0.75", "SHRUNK = 1e9"),
+        ("NO_WORSE = 1.01", "NO_WORSE = 1e9"),
+        ("OWN_METER = 0.99", "OWN_METER = 2.0"),
+    ),
+    *_of("laws", "laws/adapter.py", ("CLOCK_NATS = 15.0", "CLOCK_NATS = 1e9")),
+    *_of("laws", "laws/factors.py", ("NOISE_PART = 0.1", "NOISE_PART = 0.0")),
     *_of(
         "rules",
         "identify/rules.py",
