@@ -171,20 +171,18 @@ def _pairs_without(
     return out
 
 
-def pairs(
-    model: Model, constraints: Constraints, candidates: Sequence[Candidate], gram: Gram | None = None
-) -> tuple[Pair, ...]:
+def pairs(model: Model, constraints: Constraints, candidates: Sequence[Candidate]) -> tuple[Pair, ...]:
     """Correlation and separation of each effect in the model from every other effect.
 
     Columns are whitened, with base parameters, run effects and the rest of the model projected out; r is 0 where
     the sign of the coefficient forbids the imitation.
     """
-    gram = gram or model.gram
+    gram = model.gram
     out: list[Pair] = []
     for a in model.chosen:
         rest = [k for k in model.chosen if k != a]
         left = gram.conditional(rest)
-        value = float(model.gram.coefficients(model.chosen)[0][list(model.chosen).index(a)])
+        value = float(gram.coefficients(model.chosen)[0][list(model.chosen).index(a)])
         best: dict[int, float] = {}
         for b in range(gram.p):
             other = int(constraints.effect[b])

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Design, Source
@@ -52,7 +51,7 @@ class Model:
         """Whitened residual, shape (n,)."""
         return np.asarray(project(self.design, self.noise, self.design.residual[None, :], self.chosen).rows[0])
 
-    def estimate(self, chosen: Sequence[int], runs: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+    def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients that a robot file can hold: relative shifts of the base, then shares of columns.
 
         They give the measured energy of the fitted runs together (see `LeastSquares.unbiased`).
@@ -60,7 +59,6 @@ class Model:
         Parameters
         ----------
         chosen : columns in the model
-        runs : which runs to fit, shape (runs,); all by default
 
         Returns
         -------
@@ -68,15 +66,8 @@ class Model:
         covariance : from leaving runs out where least squares is used, of the noise model elsewhere
         """
         squares = self.squares or LeastSquares.of(self.design)
-        q = squares.q
-        if self.squares is not None:
-            kept = squares if runs is None else squares.only(runs[squares.run])
-            value, covariance = kept.jackknife(chosen)
-        else:
-            gram = self.gram if runs is None else Gram(self.gram.per_run[runs], self.gram.prior_precision)
-            kept = squares if runs is None else squares.only(runs[squares.run])
-            value, covariance = gram.joint(chosen, q)
-        return kept.unbiased(chosen, value, covariance), covariance
+        value, covariance = self.gram.joint(chosen, squares.q) if self.squares is None else squares.jackknife(chosen)
+        return squares.unbiased(chosen, value, covariance), covariance
 
 
 def spread(model: Model) -> Model:
@@ -222,14 +213,13 @@ def log_likelihood(model: Model) -> float:
     return gram.evidence(range(len(model.chosen))) - 0.5 * float(log_det.sum()) - level
 
 
-def prediction(model: Model, chosen: Sequence[int], design: Design, fitted: NDArray[np.bool_] | None = None) -> Array:
+def prediction(model: Model, chosen: Sequence[int], design: Design) -> Array:
     """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
 
     Base parameters at their most probable values with these effects in; what a robot file cannot hold is left out:
-    offsets and gains of single runs, and the nuisances of clock, curvature and switching. With `fitted`, from these
-    runs of the model only.
+    offsets and gains of single runs, and the nuisances of clock, curvature and switching.
     """
-    value, _ = model.estimate(chosen, fitted)
+    value, _ = model.estimate(chosen)
     count = len(design.layout.parameters)
     power = design.base + value[:count] @ design.gradient[:count]
     if len(chosen):

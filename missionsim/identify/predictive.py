@@ -168,10 +168,6 @@ class LeastSquares:
         error = float(np.std(rise, ddof=1)) / np.sqrt(count)
         return float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
 
-    def only(self, folds: NDArray[np.bool_]) -> LeastSquares:
-        """Some of the folds."""
-        return LeastSquares(self.sums[folds], self.seconds[folds], self.prior_sd, self.run[folds])
-
     def errors(self, index: NDArray[np.intp], coefficients: Array) -> Left:
         """Errors of each fold under given coefficients, shape (folds, m) or (m,)."""
         b = np.broadcast_to(coefficients, (len(self.sums), len(index)))

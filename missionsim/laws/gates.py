@@ -43,13 +43,13 @@ class Gates:
         return all(self.passed.values())
 
 
-def gates(fitted: Fitted, block_s: float = BLOCK_S, *, clock: bool = False) -> Gates:
+def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
     """Size, likelihood with all tries counted, blocks of time, and runs left out.
 
     `clock`: whether the law reads a clock, which any wander of half the runs looks like.
     """
     model = fitted.model
-    share, sd = _robust(model, fitted.column, block_s)
+    share, sd = _robust(model, fitted.column, BLOCK_S)
     least, runs = LEAST_BETTER, 0
     if model.squares is not None:
         # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s
