@@ -31,6 +31,8 @@ from missionsim.physics import Array
 
 Rows32 = NDArray[np.float32]
 CHUNK = 256
+FREER = 4.0
+"""A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
 BLOCK = 60
 """Rows that are whitened by one product of matrices."""
 LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
@@ -172,11 +174,12 @@ def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground
 
 
 class Sums(NamedTuple):
-    """Mean size, score and information of each of many rows, shape (k,)."""
+    """Mean size, score, information and the part that a free base absorbs, of each of many rows, shape (k,)."""
 
     level: Array
     score: Array
     information: Array
+    absorbed: Array
 
 
 class Sieve:
@@ -215,6 +218,7 @@ class Sieve:
         inside = total[1:, 1:] + np.diag(precision)
         self.solved = np.linalg.solve(inside, np.column_stack([total[1:, 0]]))[:, 0]
         self.inverse = np.linalg.inv(inside)
+        self.free = np.linalg.inv(total[1:, 1:] + np.diag(precision / FREER**2))
 
     def _counts(self, rows: int) -> Array:
         return np.diff(np.append(self.starts, rows)).astype(float)
@@ -273,7 +277,8 @@ class Sieve:
         others = cross[:, 1:]
         score = cross[:, 0] - others @ self.solved
         information = size - np.sum((others @ self.inverse) * others, axis=1)
-        return Sums(level / max(self.known.shape[1], 1), score, information)
+        absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
+        return Sums(level / max(self.known.shape[1], 1), score, information, absorbed)
 
 
 def _filter(shape: Shape) -> tuple[Rows32, ...]:

@@ -10,11 +10,13 @@ import numpy as np
 
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
-from missionsim.identify.settings import SEVERAL_RUNS, Settings
+from missionsim.identify.settings import SEVERAL_RUNS
 
 if TYPE_CHECKING:
     from missionsim.laws.search import Fitted
 
+LEAST_SHARE = 0.008
+"""Below this part of the energy, half-moving rows and noisy covariates make forms out of nothing (measured)."""
 LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
 LEAST_BETTER = 0.98
@@ -61,7 +63,7 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
     errors = fitted.errors
     several = len(model.design.runs) > 1
     passed = {
-        "size": abs(share) >= Settings.min_share,
+        "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": 0.5 * z * z > fitted.penalty,
         "left-out runs": not several

@@ -13,11 +13,10 @@ from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import CLOCKS, FAR_BETTER, QUANTITY, Curve, Law, Proposal
-from missionsim.identify.settings import Settings
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import make_grammar
-from missionsim.laws.gates import Gates, gates, left_out
+from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
@@ -245,7 +244,7 @@ def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
     for name, columns in ground.held:
         places = [ground.chosen.index(k) for k in columns]
         was, now = abs(before[places].sum()), abs(after[places].sum())
-        if now < max(REPLACED * was, Settings.min_share):
+        if now < max(REPLACED * was, LEAST_SHARE):
             out.append(name)
             continue
         like = max(

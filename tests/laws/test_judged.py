@@ -43,6 +43,7 @@ def test_of_two_forms_that_predict_alike_the_likelier_is_best(error: float, best
         near=lambda *_: screened[::-1],
         fit=lambda form, **_: fits[form[0]],
         tried=2,
+        _apart=lambda forms: forms,
         _promising=list,
         _plainest=lambda top: top,
     )
@@ -237,8 +238,8 @@ def test_what_stood_in_for_a_law_goes(
 @pytest.mark.parametrize(
     ("far", "runs", "share", "ratio", "refused"),
     [
-        (False, 4, 0.0066, 0.97, set()),
-        (False, 4, 0.0064, 0.97, {"size"}),  # half-moving rows and noisy columns make laws of that size
+        (False, 4, 0.0081, 0.97, set()),
+        (False, 4, 0.0079, 0.97, {"size"}),  # half-moving rows and noisy columns make laws of that size
         (True, 2, 0.05, 0.94, set()),
         (True, 2, 0.05, 0.96, {"left-out runs"}),  # two runs know little of a product
     ],

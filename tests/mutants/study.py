@@ -142,7 +142,7 @@ MUTANTS = [
         ("LEAST_RISE = 6.0", "LEAST_RISE = -1e9"),
         ("LEAST_BETTER = 0.98", "LEAST_BETTER = 1.0"),
         ("FEW_BETTER = 0.95", "FEW_BETTER = 0.98"),
-        ("abs(share) >= Settings.min_share", "True"),
+        ("abs(share) >= LEAST_SHARE", "True"),
     ),
     *_of(
         "laws",
