@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +46,6 @@ class Loads:
     values: Mapping[str, Value]
     """Parameters that differ from the model's."""
 
-    @property
-    def duration_s(self) -> Array:
-        """Length of each interval, shape (n,)."""
-        return self.line.duration_s
-
     @cached_property
     def changing(self) -> NDArray[np.bool_]:
         """Whether the power changes within each interval, or an impulse begins it, shape (n,)."""
@@ -65,13 +61,8 @@ class Loads:
         """Energy that the charger gives in each interval, shape (n,)."""
         if not self.charging.any():
             return np.zeros(len(self.energy_j))
-        full = self.charger_w * self.duration_s
+        full = self.charger_w * self.line.duration_s
         return np.where(self.charging == CHARGING, full, np.where(self.charging == HELD, self.energy_j, 0.0))
-
-    def energy_until(self, interval: int, seconds: float) -> float:
-        """Energy [J] from the start of an interval for some seconds."""
-        part = replace(self.line.part(interval, interval + 1), duration_s=np.array([seconds]))
-        return float(sum(joules[0] for joules in integrate(self.model, part, self.values)[self.battery].values()))
 
 
 @dataclass(frozen=True)
@@ -91,32 +82,32 @@ class ConstantEnergy:
         net = loads.energy_j - loads.charged_j
         return np.asarray(state - np.cumsum(net))
 
+    @property
+    def full(self) -> float:
+        """The state when full [J]."""
+        return self.capacity_j
+
     def charge_j(self, state: Array | float) -> Array:
         """The state itself."""
         return np.asarray(state, dtype=float)
-
-    def fraction(self, state: float) -> float:
-        """Energy left over the capacity."""
-        return state / self.capacity_j
-
-    def state_of(self, fraction: float) -> float:
-        """Energy at a fraction of the capacity [J]."""
-        return fraction * self.capacity_j
 
     def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
         """Time at which the energy left comes to `level`, in closed form where power is constant."""
         if loads.charging[interval] == HELD:
             return None
         extra_w = loads.charger_w[interval] if loads.charging[interval] == CHARGING else 0.0
+        line = loads.line.part(interval, interval + 1)
         if not loads.changing[interval]:
-            power = loads.energy_j[interval] / loads.duration_s[interval] - extra_w
+            power = loads.energy_j[interval] / line.duration_s[0] - extra_w
             if power == 0.0:
                 return None
             time = (state - level) / power
             return float(time) if 0.0 <= time <= horizon_s else None
 
         def left(seconds: float) -> float:
-            return state - level - loads.energy_until(interval, seconds) + extra_w * seconds
+            part = replace(line, duration_s=np.array([seconds]))
+            used = sum(joules[0] for joules in integrate(loads.model, part, loads.values)[self.name].values())
+            return state - level - float(used) + extra_w * seconds
 
         at_start, at_end = left(0.0), left(horizon_s)
         if at_start <= 0.0 < state - level:  # what a start takes at once leads past the level
@@ -152,7 +143,7 @@ class ConstantEnergy:
         """Time at which the energy left comes to zero from above."""
         if state < 0.0:
             return 0.0
-        return self.reach(state, loads, interval, 0.0, float(loads.duration_s[interval]))
+        return self.reach(state, loads, interval, 0.0, float(loads.line.duration_s[interval]))
 
 
 @dataclass(frozen=True)
@@ -177,6 +168,8 @@ class EquivalentCircuit:
     rated_time_s: float = 72000.0
     cut_off_v: float = 0.0
     taper: Taper = FLAT
+    full: ClassVar[float] = 1.0
+    """The state when full."""
 
     @cached_property
     def _knots(self) -> tuple[list[float], list[float], list[float]]:
@@ -229,20 +222,11 @@ class EquivalentCircuit:
         beyond = np.where(s > 1.0, s - 1.0, beyond)
         return np.asarray(self.charge_c * (whole + start * beyond + 0.5 * slope * beyond**2))
 
-    def fraction(self, state: float) -> float:
-        """The state of charge itself."""
-        return state
-
-    def state_of(self, fraction: float) -> float:
-        """The fraction itself."""
-        return fraction
-
     def after(self, state: float, loads: Loads) -> Array:
         """State of charge at the end of each interval."""
-        states = np.empty(len(loads.duration_s))
-        for i in range(len(states)):
-            state = self._walk(state, loads, i, float(loads.duration_s[i]))[-1][1]
-            states[i] = state
+        states = np.empty(len(loads.line))
+        for i, seconds in enumerate(loads.line.duration_s.tolist()):
+            states[i] = state = self._walk(state, loads, i, seconds)[-1][1]
         return states
 
     def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
@@ -256,7 +240,7 @@ class EquivalentCircuit:
         voltage (which never falls with the charge) in the interval.
         """
         states, volts = self.curve
-        floor, ohm, seconds = float(volts.min()), self.resistance_ohm, loads.duration_s
+        floor, ohm, seconds = float(volts.min()), self.resistance_ohm, loads.line.duration_s
         high_w = np.maximum(loads.curves.most_w, 0.0)
         with np.errstate(invalid="ignore", over="ignore"):
             current = _discharge(floor, ohm, high_w)
@@ -273,7 +257,7 @@ class EquivalentCircuit:
         """Time at which the margin is used up."""
         if loads.charging[interval]:
             return None
-        return self._first(state, loads, interval, float(loads.duration_s[interval]), self.margin)
+        return self._first(state, loads, interval, float(loads.line.duration_s[interval]), self.margin)
 
     def _net(self, loads: Loads, interval: int) -> Callable[[float], float]:
         """Power at the terminals as a function of the time in an interval."""

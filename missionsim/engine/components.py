@@ -81,11 +81,8 @@ class Switchboard:
         if not self._slow:
             return []
         off = [name for name in self.closure(sensors) if not self._on[name]]
-        return [self._when_on(name) for name in off] if any(self.infos[name].startup_s > 0.0 for name in off) else []
-
-    def _when_on(self, name: str) -> simpy.Event:
-        """An event that happens when a component is on; only for one that is off."""
-        return self._coming.setdefault(name, self._env.event())
+        slow = any(self.infos[name].startup_s > 0.0 for name in off)
+        return [self._coming.setdefault(name, self._env.event()) for name in off] if slow else []
 
     def _lacking(self, name: str) -> list[str]:
         """What a component requires and is not on."""
@@ -96,26 +93,21 @@ class Switchboard:
         return max([held.get(name, 0) for held in self._held.values()])
 
     def _switch_asked(self, _: simpy.Event) -> None:
+        """Have components become what is wanted: at once, or after what they require and their start-up."""
         asked, self._asked = sorted(self._asked, key=self._index.__getitem__), set()
-        lacking = []
-        for name in asked:
-            if self._lacking(name):
-                lacking.append(name)
+        first = len(asked)
+        for i, name in enumerate(asked):
+            if i < first and self._lacking(name):
+                asked.append(name)  # last: what it requires has come on by then, or takes its time
+                continue
+            wanted, on = self._wanted(name), self._on[name]
+            if name in self._starting or wanted == on:
+                continue
+            if wanted and not on and (self.infos[name].startup_s > 0.0 or self._lacking(name)):
+                self._starting.add(name)
+                self._env.process(self._start(name))
             else:
-                self._switch(name)
-        for name in lacking:  # what they require has come on meanwhile, or takes its time
-            self._switch(name)
-
-    def _switch(self, name: str) -> None:
-        """Become what is wanted: at once, or after what it requires and its start-up."""
-        wanted, on = self._wanted(name), self._on[name]
-        if name in self._starting or wanted == on:
-            return
-        if wanted and not on and (self.infos[name].startup_s > 0.0 or self._lacking(name)):
-            self._starting.add(name)
-            self._env.process(self._start(name))
-            return
-        self._set(name, wanted)
+                self._set(name, wanted)
 
     def _set(self, name: str, units: int) -> None:
         self._recorder.component(self._index[name], units, 0)
@@ -126,10 +118,10 @@ class Switchboard:
     def _start(self, name: str) -> Generator[simpy.Event, Any, None]:
         for required in self._lacking(name):
             if not self._on[required]:
-                yield self._when_on(required)
+                yield self._coming.setdefault(required, self._env.event())
         startup_s = self.infos[name].startup_s
-        if startup_s > 0.0 and self._wanted(name):
-            self._recorder.component(self._index[name], 0, self._wanted(name))
+        if startup_s > 0.0 and (wanted := self._wanted(name)):
+            self._recorder.component(self._index[name], 0, wanted)
             yield self._env.timeout(startup_s)
         self._starting.discard(name)
         self._set(name, self._wanted(name))
@@ -165,17 +157,18 @@ class Activities:
         if self._events and (event := self._events.pop((kind, name), None)) is not None:
             event.succeed()
 
-    def _wait(self, trigger: Trigger, edge: str) -> simpy.Event:
-        if trigger.time_s is not None:
-            return self._env.timeout(max(0.0, trigger.time_s - self._env.now))
-        return self._events.setdefault(_key(trigger, edge), self._env.event())
-
     def _run(self, activity: Activity) -> Generator[simpy.Event, Any, None]:
         env, hold, on = self._env, self._board.hold, ((activity.component, activity.units),)
+
+        def reached(trigger: Trigger, edge: str) -> simpy.Event:
+            if trigger.time_s is not None:
+                return env.timeout(max(0.0, trigger.time_s - env.now))
+            return self._events.setdefault(_key(trigger, edge), env.event())
+
         while True:
             if activity.begin is not None:
-                yield self._wait(activity.begin, "begin")
-            stop = None if activity.end is None else self._wait(activity.end, "end")
+                yield reached(activity.begin, "begin")
+            stop = None if activity.end is None else reached(activity.end, "end")
             if activity.every_s is not None:
                 yield from self._bursts(activity, on, stop)
             else:

@@ -148,7 +148,7 @@ class Meter:
         self._done = len(recorder.rows)
         asked = rows if ahead is None else [*rows, ahead]
         begin = {name: np.append(value, np.full(len(asked) - 1, GOES_ON)) for name, value in self.lags.items()}
-        answer = yield Asked(asked, self.legs, recorder.states(), self.values, begin)
+        answer = yield Asked(asked, self.legs, list(recorder.states), self.values, begin)
         if ahead is not None:
             self._ahead = ahead, answer.part(count, count + 1)
             answer = answer.part(0, count)
@@ -218,24 +218,17 @@ class Meter:
             )
         lines = [batch.line for batch in batches]
         charge = {
-            name: battery.charge_j(_joined([batch.states[name] for batch in batches])) / J_PER_WH
+            name: battery.charge_j(np.concatenate([batch.states[name] for batch in batches])) / J_PER_WH
             for name, battery in self.batteries.items()
         }
         if len(batches) == 1:
             line = replace(lines[0], lags={}) if self.model.lags else lines[0]
             return line, batches[0].energies, charge
         energies = {
-            name: {key: _joined([batch.energies[name][key] for batch in batches]) for key in terms}
+            name: {key: np.concatenate([batch.energies[name][key] for batch in batches]) for key in terms}
             for name, terms in batches[0].energies.items()
         }
         return Timeline.joined(lines), energies, charge
-
-    def lags_at_ends(self) -> dict[str, Array]:
-        """The model's first-order lags at the end of each row."""
-        return {
-            name: np.append(_joined([batch.line.lags[name] for batch in self.batches])[1:], end)
-            for name, end in self.lags.items()
-        }
 
     def _loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
         nothing, alone = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)
@@ -244,7 +237,8 @@ class Meter:
         for i, name in enumerate(self.batteries):
             power, mode = nothing, alone
             if charges:
-                power = np.array([_charger_power(self.legs[row.leg], name) for row in rows])
+                docks = [self.legs[row.leg].recharge for row in rows]
+                power = np.array([dock.power_w.get(name, 0.0) if dock else 0.0 for dock in docks])
                 mode = np.array([row.charging[i] if row.charging else 0 for row in rows], dtype=np.int64)
             total = np.add.reduce(list(answer.energies[name].values())) if answer.energies[name] else nothing
             if not np.isfinite(total).all():
@@ -255,14 +249,6 @@ class Meter:
                 power, mode = np.where(mode > HELD, slowed, power), np.where(mode > HELD, CHARGING, mode)
             found[name] = Loads(name, answer.line, total, mode, power, self.model, self.values)
         return found
-
-
-def _joined(parts: list[Array]) -> Array:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def _charger_power(leg: Leg, battery: str) -> float:
-    return leg.recharge.power_w.get(battery, 0.0) if leg.recharge else 0.0
 
 
 def _alarms(battery: Battery, batch: Batch, name: str, reserve: float | None, after_s: float) -> list[Alarm]:
@@ -279,7 +265,7 @@ def _alarms(battery: Battery, batch: Batch, name: str, reserve: float | None, af
             if kind == "empty":
                 time = battery.empty_in(state, loads, i)
             elif reserve is not None:
-                whole = float(loads.duration_s[i])
+                whole = float(line.duration_s[i])
                 time = 0.0 if state < reserve else battery.reach(state, loads, i, reserve, whole)
             if time is not None:
                 found.append(Alarm(float(line.start_s[i]) + time, name, kind, int(line.segment[i])))

@@ -244,11 +244,17 @@ class RunResult:
 
     def by_component_wh(self, battery: str) -> dict[str, float]:
         """Energy of each component [Wh]."""
-        return _totals(self.energies[battery], lambda key: key.component)
+        return self._totals_wh(battery, "component")
 
     def by_term_wh(self, battery: str) -> dict[str, float]:
         """Energy of each physical term [Wh], over all components."""
-        return _totals(self.energies[battery], lambda key: key.name)
+        return self._totals_wh(battery, "name")
+
+    def _totals_wh(self, battery: str, part: str) -> dict[str, float]:
+        totals: dict[str, list[float]] = {}
+        for key, joules in self.energies[battery].items():
+            totals.setdefault(getattr(key, part), []).append(float(joules.sum()))
+        return {name: math.fsum(parts) / J_PER_WH for name, parts in totals.items()}
 
     def by_scheme_wh(self, battery: str) -> dict[str, float]:
         """Energy under each control scheme [Wh]; ``none`` where no scheme runs; empty without a trace."""
@@ -323,10 +329,3 @@ class RunResult:
             "never_on": list(self.never_on),
             "provenance": dict(self.provenance),
         }
-
-
-def _totals(terms: Mapping[TermKey, Array], name_of: Callable[[TermKey], str]) -> dict[str, float]:
-    totals: dict[str, list[float]] = {}
-    for key, joules in terms.items():
-        totals.setdefault(name_of(key), []).append(float(joules.sum()))
-    return {name: math.fsum(parts) / J_PER_WH for name, parts in totals.items()}

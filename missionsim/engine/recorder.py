@@ -40,16 +40,15 @@ class Recorder:
         self.env = env
         self.components = tuple(components)
         self.rows: list[Row] = []
-        self.leg = 0
-        self._phase = REST
-        self._phase_began_s = 0.0
-        self._since_s = 0.0
-        self._state = [0.0] * (3 * len(self.components))
-        self._states: dict[tuple[float, ...], int] = {}
-        self._state_index = -1
-        self._moving_time_s = 0.0
+        self.leg, self.phase, self.phase_began_s = 0, REST, 0.0
+        self.states: dict[tuple[float, ...], int] = {}
+        """Those of all components that rows refer to: units on, units starting, time of switching on, 3 · components
+        each."""
+        self._state, self._state_index = [0.0] * (3 * len(self.components)), -1
+        self._since_s = self._moving_time_s = 0.0
         self._was_moving = False
         self.charging: tuple[int, ...] = ()
+        """What a charger does to the batteries; set only where nothing is left to be closed."""
         self.changed: simpy.Event | None = None
 
     def close(self) -> None:
@@ -59,22 +58,15 @@ class Recorder:
         if duration <= 0.0:
             return
         self.rows.append(self.row(self._since_s, duration))
-        moving = self._phase.moving
-        self._was_moving = moving
-        if moving:
+        self._was_moving = self.phase.moving
+        if self._was_moving:
             self._moving_time_s += duration
         self._since_s = now
 
-    def move(self, leg: int, phase: Phase) -> None:
-        """A phase of the plan begins."""
+    def move(self, leg: int, phase: Phase = REST) -> None:
+        """A phase of the plan begins; without one the robot stands still from now on."""
         self.close()
-        self.leg = leg
-        self._phase = phase
-        self._phase_began_s = self.env.now
-
-    def rest(self, leg: int) -> None:
-        """The robot stands still from now on."""
-        self.move(leg, REST)
+        self.leg, self.phase, self.phase_began_s = leg, phase, self.env.now
 
     def component(self, index: int, units: int, starting: int) -> None:
         """A component changes its state: units on, units starting up."""
@@ -89,41 +81,14 @@ class Recorder:
         if self.changed is not None and not self.changed.triggered:
             self.changed.succeed()
 
-    def charge(self, modes: tuple[int, ...]) -> None:
-        """A charger takes up or ends its work on some battery."""
-        self.close()
-        self.charging = modes
-
-    @property
-    def phase(self) -> Phase:
-        """Phase under way."""
-        return self._phase
-
-    @property
-    def phase_elapsed_s(self) -> float:
-        """Time since the phase under way began."""
-        return float(self.env.now - self._phase_began_s)
-
     def row(self, start_s: float, duration_s: float) -> Row:
         """What the interval under way would be, were it to begin then and to last so long without a change."""
         if self._state_index < 0:  # of those that take time: many a change is followed by others at its instant
-            self._state_index = self._states.setdefault(tuple(self._state), len(self._states))
-        phase = self._phase
-        return Row(
-            start_s,
-            duration_s,
-            self.leg,
-            phase,
-            start_s - self._phase_began_s,
-            self._state_index,
-            self._moving_time_s,
-            phase.moving and not self._was_moving,
-            self.charging,
-        )
-
-    def states(self) -> list[tuple[float, ...]]:
-        """Component states that rows refer to: units on, units starting, time of switching on, 3 · components each."""
-        return list(self._states)
+            self._state_index = self.states.setdefault(tuple(self._state), len(self.states))
+        phase, elapsed_s = self.phase, start_s - self.phase_began_s
+        starts = phase.moving and not self._was_moving
+        state, moving_s = self._state_index, self._moving_time_s
+        return Row(start_s, duration_s, self.leg, phase, elapsed_s, state, moving_s, starts, self.charging)
 
 
 def timeline(

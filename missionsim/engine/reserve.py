@@ -51,11 +51,6 @@ class Homing:
             self._found[place] = min(found, key=_length, default=None)
         return self._found[place]
 
-    def from_place(self, place: str, like: Leg) -> list[Leg] | None:
-        """Legs home from a place, driven like a leg; [] at the dock, None where there is no way."""
-        ways = self.ways(place)
-        return None if ways is None else [_leg(like, way) for way in ways]
-
     def excursion(
         self, last: Leg | None, done_m: float, like: Leg, docks: Sequence[str], *, back: bool, stands: bool
     ) -> tuple[list[Leg], str, list[Leg], bool] | None:
@@ -101,16 +96,6 @@ class Homing:
         return best
 
 
-def last_driven(legs: Sequence[Leg]) -> list[Leg | None]:
-    """Of each leg, itself or the last one before it that drives; before the first such, that one; None without any."""
-    last = next((leg for leg in legs if leg.kind == "roll"), None)
-    found: list[Leg | None] = []
-    for leg in legs:
-        last = leg if leg.kind == "roll" else last
-        found.append(last)
-    return found
-
-
 def _leg(like: Leg, way: Way) -> Leg:
     speed = min(like.speed_m_s, way.max_speed_m_s)
     return Leg(
@@ -140,9 +125,15 @@ def home_energies(
     The way is driven at once (nothing to wait for), with the components of the last leg that drove and what is always
     on; activities beside the mission are taken as over.
     """
-    legs, ends_s, last_row = world.legs, world.ends_s, world.recorder.rows[-1:]
+    legs, ends_s, last_row, meter = world.legs, world.ends_s, world.recorder.rows[-1:], world.meter
     ends = {leg.segment: index for index, leg in enumerate(legs) if leg.last}
-    driven_at, lags = last_driven(legs), world.meter.lags_at_ends()
+    # of each leg, itself or the last one before it that drives; before the first such, that one
+    drive = next((leg for leg in legs if leg.kind == "roll"), None)
+    driven_at = [drive := leg if leg.kind == "roll" else drive for leg in legs]
+    lags = {
+        name: np.append(np.concatenate([batch.line.lags[name] for batch in meter.batches])[1:], end)
+        for name, end in meter.lags.items()
+    }
     last_rows = {legs[row.leg].segment: i for i, row in enumerate(world.recorder.rows)}
     ways: dict[Any, list[Leg]] = {}
     keys: list[Any] = []
@@ -153,7 +144,7 @@ def home_energies(
             end = last_row[0].leg
             ended = legs[end].kind != "roll"
         driven, place, key = driven_at[end], legs[end].place, None
-        if end >= 0 and ended and driven is not None and homing.ways(place) is not None:
+        if end >= 0 and ended and driven is not None and (home := homing.ways(place)) is not None:
             last, clock = last_rows.get(segment), 0.0
             if last is not None and "moving_time_s" in model.memory:
                 row = world.recorder.rows[last]
@@ -162,7 +153,7 @@ def home_energies(
             warm = () if last is None else tuple(float(values[last]) for values in lags.values())
             key = place, driven.settings, driven.speed_m_s, driven.instant, warm, clock
             if key not in ways:
-                ways[key] = homing.from_place(place, driven) or []
+                ways[key] = [_leg(driven, way) for way in home]
         keys.append(key)
     batteries = model.batteries
     energy = {name: np.zeros(len(ways)) for name in batteries}

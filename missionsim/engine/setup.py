@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
+from missionsim.engine.outcome import J_PER_WH
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
 from missionsim.inputs.battery import BatterySpec
@@ -137,7 +138,6 @@ def split_values(values: Mapping[str, T], model: PowerModel) -> tuple[dict[str, 
     return numbers, drawn
 
 
-J_PER_WH = 3600.0
 BEYOND = 0.05
 """Part of the range of the logs by which a mission may leave it before that is told."""
 TOLERANCE = 1e-9
@@ -152,8 +152,8 @@ def doubts(
     charge_wh: Mapping[str, Array],
     batteries: Mapping[str, Battery],
     segments: Sequence[SegmentInfo],
-    places: Mapping[str, Place] | None = None,
-    file: str = "",
+    places: Mapping[str, Place],
+    file: str,
 ) -> tuple[Fault, ...]:
     """Warnings about batteries that are charged by what should draw from them.
 
@@ -166,7 +166,9 @@ def doubts(
     found: list[Fault] = []
     if not len(line):
         return ()
-    back = _giving_back(model, line)
+    back = np.zeros(len(line), dtype=bool)  # where a robot that regenerates slows down or descends
+    if float(model.constants.get("regeneration", 0.0)) > 0.0:
+        back = np.asarray((line.columns["accel_m_s2"] < 0.0) | (line.columns["slope_rad"] < 0.0))
     for term in model.terms:
         joules = energies[term.key.battery].get(term.key)
         if joules is None or term.effect.recovers or term.effect.back or not (negative := joules < 0.0).any():
@@ -191,9 +193,7 @@ def doubts(
         if beyond.any():
             most = float(charge_wh[name].max())
             found.append(
-                (places or {})
-                .get(name, Place())
-                .warning(
+                places[name].warning(
                     f"battery '{name}' comes to {100.0 * most / full:.4g} % of its capacity in "
                     f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond "
                     "full; the surplus is counted as if it were kept"
@@ -249,14 +249,6 @@ _ALWAYS_TOLD = {"slope_rad", "payload_kg"}
 _OF_COMPONENTS = ("law", "component", "always_on", "startup", "switchboard", "processor")
 
 
-def _giving_back(model: PowerModel, line: Timeline) -> NDArray[np.bool_]:
-    """Intervals in which a robot that regenerates slows down or descends."""
-    if not float(model.constants.get("regeneration", 0.0)) > 0.0:
-        return np.zeros(len(line), dtype=bool)
-    columns: Mapping[str, Any] = line.columns
-    return np.asarray((columns["accel_m_s2"] < 0.0) | (columns["slope_rad"] < 0.0))
-
-
 def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo], first: int | None = None) -> str:
     """Segments by name, `first` before the others."""
     ordered = sorted(np.unique(numbers).tolist(), key=lambda i: i != first)
@@ -267,9 +259,5 @@ def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo], first: i
 
 def never_on(line: Timeline) -> tuple[str, ...]:
     """Components that were neither on nor starting at any time."""
-    names = [name[3:] for name in line.columns if name.startswith("on_") and f"starting_{name[3:]}" in line.columns]
-    return tuple(
-        name
-        for name in names
-        if not np.any(line.columns[f"on_{name}"]) and not np.any(line.columns[f"starting_{name}"])
-    )
+    names = [name.removeprefix("starting_") for name in line.columns if name.startswith("starting_")]
+    return tuple(n for n in names if not np.any(line.columns[f"on_{n}"]) and not np.any(line.columns[f"starting_{n}"]))

@@ -6,8 +6,8 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
-from typing import Any, cast
+from functools import cache, cached_property
+from typing import cast
 
 import numpy as np
 
@@ -40,9 +40,14 @@ RESERVE_TOLERANCE = 1e-9
 
 
 class AuditError(Exception):
-    """The energies of a run do not add up: our own fault, never the user's."""
+    """The energies of a run do not add up: our own fault, never the user's. `table`: energy of each term [J]."""
 
-    def __init__(self, battery: str, error: float, terms: Sequence[str]) -> None:
+    def __init__(self, battery: str, error: float, batches: Sequence[Batch], table: Mapping[TermKey, Array]) -> None:
+        terms = []  # whose cells in the table are not what the meter has booked
+        for key, cells in table.items():
+            booked = math.fsum(float(np.sum(batch.energies[battery][key])) for batch in batches)
+            if abs(math.fsum(cells.tolist()) - booked) > MOST_AUDIT_ERROR * max(abs(booked), 1e-12):
+                terms.append(f"{key.component}/{key.name}" if key.component != key.name else key.name)
         what = f"of {', '.join(terms)}" if terms else "left in it, against what it gave and got,"
         super().__init__(f"the energy of battery '{battery}' {what} does not add up: {error:.3g} of it (audit)")
 
@@ -113,38 +118,25 @@ class RunSetup:
         self.drawn = drawn
         self.numbers = cast("Mapping[str, float]", numbers)  # of many runs, arrays: see missionsim.plan.legs
         self.again: np.random.Generator | None = None
-        robot = mission.robot
-        self.batteries = {
-            name: build_battery(
-                name, spec, self._robot_number, self._initial(name, spec), self._temperature(name, spec)
-            )
-            for name, spec in robot.batteries.items()
-        }
-        asked = {name: reserve_of(mission.policy.reserve, name) for name in robot.batteries}
-        self.required = {
-            name: self._robot_number(spec.reserve) if own is None else self.number(own)
-            for (name, spec), own in zip(robot.batteries.items(), asked.values(), strict=True)
-        }
-        self.components = [
-            ComponentInfo(
-                name,
-                spec.units,
-                spec.always_on,
-                spec.requires,
-                0.0 if spec.startup is None else self._robot_number(spec.startup.duration),
-            )
-            for name, spec in robot.components.items()
-        ]
-        self.names = tuple(robot.components)
-        self._homing: Homing | None = None
+        self.names = tuple(mission.robot.components)
+        self.goes_on = mission.policy.on_empty == "recharge_and_continue"
+        """Whether the robot recharges at its reserve and goes on."""
+        self.batteries: dict[str, Battery] = {}
+        self.required: dict[str, float] = {}
+        """Reserve of each battery that is to be left, as a fraction."""
 
-    def number(self, parameter: Parameter, prefix: str = "") -> float:
-        """Value of a parameter, drawn or nominal."""
-        return self.numbers.get(prefix + parameter.path, parameter.value) if self.numbers else parameter.value
+        def number(parameter: Parameter, prefix: str = "robot.") -> float:
+            return self.numbers.get(prefix + parameter.path, parameter.value) if self.numbers else parameter.value
 
-    def _initial(self, name: str, spec: BatterySpec) -> float:
-        own = self.mission.initial_charge.get(name)
-        return self._robot_number(spec.initial_charge) if own is None else self.number(own)
+        for name, spec in mission.robot.batteries.items():
+            charge, reserve = mission.initial_charge.get(name), reserve_of(mission.policy.reserve, name)
+            initial = number(spec.initial_charge) if charge is None else number(charge, "")
+            self.batteries[name] = build_battery(name, spec, number, initial, self._temperature(name, spec))
+            self.required[name] = number(spec.reserve) if reserve is None else number(reserve, "")
+        self.components = []
+        for name, one in mission.robot.components.items():
+            startup_s = 0.0 if one.startup is None else number(one.startup.duration)
+            self.components.append(ComponentInfo(name, one.units, one.always_on, one.requires, startup_s))
 
     def _temperature(self, name: str, spec: BatterySpec) -> float | None:
         """Ambient temperature where the mission begins, for batteries that depend on it."""
@@ -161,18 +153,13 @@ class RunSetup:
             raise InputError(document.fault(where, told, allowed=allowed, key=True))
         return cast("float", known)
 
-    def _robot_number(self, parameter: Parameter) -> float:
-        return self.number(parameter, "robot.")
-
-    @property
+    @cached_property
     def homing(self) -> Homing:
-        """Ways to the dock, made when first needed."""
-        if self._homing is None:
-            routes, limits = routes_of(self.mission, self.numbers), self.plan.limits
-            made = self.mission.remembered("homing", lambda: Homing(self.mission, limits, routes))
-            same = made.routes is routes and made.limits == limits
-            self._homing = made if same else Homing(self.mission, limits, routes)
-        return self._homing
+        """Ways to the dock."""
+        routes, limits = routes_of(self.mission, self.numbers), self.plan.limits
+        made = self.mission.remembered("homing", lambda: Homing(self.mission, limits, routes))
+        same = made.routes is routes and made.limits == limits
+        return made if same else Homing(self.mission, limits, routes)
 
     def run(self, *, trace: bool = True) -> Evaluating[RunResult]:
         """All executions that the mission needs, and its result; with `trace`, what is strange about it too."""
@@ -187,8 +174,10 @@ class RunSetup:
         whole = world = yield from self.execute(())
         alarms: list[Alarm] = []
         most = MOST_RECHARGES if self.goes_on else MOST_ALARMS
+        reserves = {name: battery.full * self.required[name] for name, battery in self.batteries.items()}
         while len(alarms) < most:
-            alarm = world.meter.first_alarm(self.reserves(alarms), world.excursions)
+            sends_home = self.mission.policy.on_empty != "stop" and (self.goes_on or not alarms)
+            alarm = world.meter.first_alarm(reserves if sends_home else {}, world.excursions)
             if alarm is None:
                 return whole, world, alarms
             alarms.append(alarm)
@@ -202,11 +191,6 @@ class RunSetup:
                 allowed="a larger battery, a shorter mission",
             )
         return whole, world, alarms
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether the robot recharges at its reserve and goes on."""
-        return self.mission.policy.on_empty == "recharge_and_continue"
 
     def execute(self, alarms: Sequence[Alarm]) -> Evaluating[World]:
         """One execution with interrupts at known instants."""
@@ -251,12 +235,6 @@ class RunSetup:
         legs[0], legs[-1] = legs[0]._replace(first=True), legs[-1]._replace(last=True)
         return legs, group(legs, self.plan.limits), went_on
 
-    def reserves(self, alarms: list[Alarm]) -> dict[str, float]:
-        """States at which a battery sends the robot home; none where the policy is to go on until empty."""
-        if self.mission.policy.on_empty == "stop" or (alarms and not self.goes_on):
-            return {}
-        return {name: battery.state_of(self.required[name]) for name, battery in self.batteries.items()}
-
     def result(self, world: World, whole: World, alarms: list[Alarm], trace: bool) -> Evaluating[RunResult]:
         """The result of the last execution."""
         line, energies, charge = world.meter.table()
@@ -275,16 +253,14 @@ class RunSetup:
                     reasons.append(f"battery '{name}' ends below its reserve")
                 elif made.reserve_wh < -RESERVE_TOLERANCE * made.capacity_wh:
                     reasons.append(f"battery '{name}' cannot bring the robot home")
-        segments = tuple(world.segments)
+        mission, segments = self.mission, tuple(world.segments)
         warnings: tuple[Fault, ...] = ()
         off: tuple[str, ...] = ()
         if trace:
-            document = self.mission.robot.document
-            places = {name: document.place(("batteries", name)) for name in self.batteries}
-            file = str(self.mission.path)
+            places = {name: mission.robot.document.place(("batteries", name)) for name in self.batteries}
+            file = str(mission.path)
             warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places, file)
             off = never_on(line)
-        mission = self.mission
         return RunResult(
             mission=mission.name,
             robot=mission.robot.name,
@@ -316,7 +292,7 @@ class RunSetup:
         whole: World,
         alarms: list[Alarm],
         line: Timeline,
-        energies: Mapping[str, Mapping[Any, Any]],
+        energies: Mapping[str, Mapping[TermKey, Array]],
         home: Mapping[str, float | None],
     ) -> BatteryResult:
         meter = world.meter
@@ -340,7 +316,7 @@ class RunSetup:
             whole = world
         lowest = min((float(np.min(battery.charge_j(b.states[name]))) for b in whole.meter.batches), default=initial)
         if audit > MOST_AUDIT_ERROR:
-            raise AuditError(name, audit, _wrong_terms(meter.batches, name, energies[name]))
+            raise AuditError(name, audit, meter.batches, energies[name])
         way = home.get(name)
         duration = float(world.env.now)
         return BatteryResult(
@@ -351,9 +327,9 @@ class RunSetup:
             initial_wh=initial / J_PER_WH,
             charged_wh=charged / J_PER_WH,
             charge_left_wh=left / J_PER_WH,
-            charge_left_fraction=battery.fraction(meter.state[name]),
+            charge_left_fraction=meter.state[name] / battery.full,
             internal_loss_wh=loss / J_PER_WH,
-            reserve_required_wh=float(battery.charge_j(battery.state_of(self.required[name]))) / J_PER_WH,
+            reserve_required_wh=float(battery.charge_j(battery.full * self.required[name])) / J_PER_WH,
             home_wh=way,
             reserve_wh=left / J_PER_WH - (way or 0.0),
             empty_at_s=None if empty is None else empty.time_s,
@@ -362,13 +338,3 @@ class RunSetup:
             needed_wh=(initial - min(lowest, initial)) / J_PER_WH if whole.completed else None,
             audit_relative_error=audit,
         )
-
-
-def _wrong_terms(batches: list[Batch], battery: str, table: Mapping[TermKey, Any]) -> list[str]:
-    """Terms whose cells in the table are not what the meter has booked."""
-    wrong = []
-    for key, cells in table.items():
-        booked = math.fsum(float(np.sum(batch.energies[battery][key])) for batch in batches)
-        if abs(math.fsum(np.asarray(cells).tolist()) - booked) > MOST_AUDIT_ERROR * max(abs(booked), 1e-12):
-            wrong.append(f"{key.component}/{key.name}" if key.component != key.name else key.name)
-    return wrong

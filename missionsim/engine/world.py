@@ -16,7 +16,7 @@ from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
 from missionsim.physics import Value
 from missionsim.plan.kinematics import group
-from missionsim.plan.legs import Gate, Leg, Phase, Plan, Recharge, SegmentInfo, Step
+from missionsim.plan.legs import Leg, Phase, Plan, Recharge, SegmentInfo, Step
 
 Leave = Callable[[Leg | None, float, bool, str, int], tuple[list[Leg], tuple[Step, ...], bool] | None]
 """``(leg driven last, metres on it, whether the robot stands, battery, segment)`` to legs and steps to a dock, and back
@@ -59,24 +59,20 @@ class World:
         self.recorder = Recorder(env, [info.name for info in components])
         self.board = Switchboard(env, self.recorder, components)
         self.meter = Meter(model, self.recorder, self.legs, batteries, values or {}, self.segments)
-        self.docks: dict[str, simpy.Resource] = {}
-        self.completed = False
-        self.begun = 0
+        self.completed, self.begun, self.reason = False, 0, ""
         self.interrupted: Alarm | None = None
-        self.reason = ""
-        self._halt = env.event()
-        self._ahead_s: float | None = None
-        self._answered = env.event()
         self.ends_s: dict[int, float] = {}
-        self._leave, self._goes_on = leave, goes_on
+        self.excursions: list[list[float]] = []
+        self.rounds: dict[int, int] = {leg.gate.block: 0 for leg in plan.legs if leg.gate is not None}
+        self._docks: dict[str, simpy.Resource] = {}
+        self._halt, self._answered = env.event(), env.event()
+        self._ahead_s: float | None = None
+        self._leave, self._goes_on, self._batteries = leave, goes_on, batteries
         self._going_on: list[Step] = []
         self._at = 0
         self._left: tuple[int, float] | None = None
-        self.excursions: list[list[float]] = []
-        self.rounds: dict[int, int] = {leg.gate.block: 0 for leg in plan.legs if leg.gate is not None}
         self._ended: set[int] = set()
         self._passed: set[tuple[str, int]] = set()
-        self._batteries = batteries
         self.activities = Activities(env, self.board, plan)
         self.driver = env.process(self._drive())
         if alarms:
@@ -117,7 +113,7 @@ class World:
                 break
             except ChargerTooWeak as problem:
                 self.reason = str(problem)
-                self.recorder.rest(self.recorder.leg)
+                self.recorder.move(self.recorder.leg)
                 break
             except simpy.Interrupt as interrupt:
                 alarm = cast(Alarm, interrupt.cause)
@@ -140,8 +136,14 @@ class World:
             self._at = at
             phases = step.phases
             current = -1
-            if (gate := legs[phases[0].leg].gate) is not None and self._shut(gate):
-                continue
+            if (gate := legs[phases[0].leg].gate) is not None:  # a block that is repeated until a time
+                if gate.first and gate.block not in self._ended:
+                    if env.now + gate.duration_s > gate.until_s * (1.0 + 1e-12):
+                        self._ended.add(gate.block)
+                    else:
+                        self.rounds[gate.block] += 1
+                if gate.block in self._ended:
+                    continue
             for i, phase in enumerate(phases):
                 leg = legs[phase.leg]
                 if phase.leg != current:
@@ -153,7 +155,7 @@ class World:
                     sensors = leg.settings.sensors
                     board.hold("segment", sensors)
                     if i == 0 and (waits := board.waiting_for(sensors)):
-                        recorder.rest(current)
+                        recorder.move(current)
                         yield env.all_of(waits)
                 recorder.move(current, phase)
                 if leg.recharge is not None:
@@ -168,23 +170,23 @@ class World:
                     if leg.last:
                         fire("end", self.segments[leg.segment].label)
                         self.ends_s[leg.segment] = env.now
-            recorder.rest(current)
-
-    def _shut(self, gate: Gate) -> bool:
-        """Whether a block that is repeated until a time has ended; counts its rounds."""
-        if gate.first and gate.block not in self._ended:
-            if self.env.now + gate.duration_s > gate.until_s * (1.0 + 1e-12):
-                self._ended.add(gate.block)
-            else:
-                self.rounds[gate.block] += 1
-        return gate.block in self._ended
+            recorder.move(current)
 
     def _to_dock(self, battery: str) -> list[Step] | None:
         """Steps to a dock; where the robot goes on also charging there, back, and what is left. None where that cannot
         be; where it was to go on, with the reason."""
         recorder, legs, at = self.recorder, self.legs, self.recorder.leg
-        leg, elapsed = legs[at], recorder.phase_elapsed_s
-        done, braking_s, speed = self._stopping(recorder.phase, leg)
+        leg, phase, elapsed = legs[at], recorder.phase, float(recorder.env.now - recorder.phase_began_s)
+        done = _length(phase, elapsed) if phase.moving else 0.0  # metres on the leg under way
+        for earlier in self._going_on[self._at].phases:
+            if earlier is phase:
+                break
+            if earlier.leg == phase.leg:
+                done += _length(earlier, earlier.duration_s)
+        speed, decel = abs(phase.speed_m_s + phase.accel_m_s2 * elapsed), self.plan.limits.decel_m_s2
+        braking_s = 0.0
+        if phase.moving and leg.kind == "roll" and decel and not leg.instant:
+            braking_s = speed / decel
         recorder.close()
         last: Leg | None = leg
         if leg.kind != "roll":
@@ -207,10 +209,19 @@ class World:
         if found is None:
             if self._goes_on:
                 self.reason = why
-            recorder.rest(at)
+            recorder.move(at)
             return None
         way, steps, _ = found
-        made = self._brake(leg, at, speed, braking_s) + _moved(steps, len(legs))
+        made: list[Step] = []
+        if braking_s and decel:  # to a standstill on the leg under way
+            bend = leg.curvature_1_m
+            braking = Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend)
+            legs.append(braking._replace(instant=leg.instant, segment=leg.segment))
+            yaw = {"yaw_rad_s": speed * bend, "yaw_rad_s2": -decel * bend}
+            made.append(Step("roll", (Phase(braking_s, len(legs) - 1, speed, -decel, moving=True, **yaw),)))
+        else:
+            recorder.move(at)
+        made += _moved(steps, len(legs))
         legs.extend(way)
         if not self._goes_on:
             self.segments.append(SegmentInfo("return to dock", "return"))
@@ -229,39 +240,13 @@ class World:
         if leg.edge is not None and leg.kind == "roll":
             same = [i for i in range(len(order)) if leg.same_edge(legs[order[i]])]
             first = max(i for i in same if i >= first) + 1 if went_on else min(i for i in same if i <= first)
-        rest = [_again(legs[i]) for i in order[first:]]
+        rest = []
+        for i in order[first:]:  # gone on with: neither a segment nor a round begins
+            gate = legs[i].gate
+            rest.append(legs[i]._replace(first=False, gate=None if gate is None else gate._replace(first=False)))
         if leg.kind == "stand" and rest:
             rest[0] = rest[0]._replace(duration_s=max(0.0, leg.duration_s - elapsed_s))
         return rest
-
-    def _stopping(self, phase: Phase, leg: Leg) -> tuple[float, float, float]:
-        """Metres done on a leg under way, seconds that braking takes, and the speed now."""
-        elapsed = self.recorder.phase_elapsed_s
-        done = _length(phase, elapsed) if phase.moving else 0.0
-        for earlier in self._going_on[self._at].phases:
-            if earlier is phase:
-                break
-            if earlier.leg == phase.leg:
-                done += _length(earlier, earlier.duration_s)
-        speed = abs(phase.speed_m_s + phase.accel_m_s2 * elapsed)
-        decel = None if leg.instant else self.plan.limits.decel_m_s2
-        return done, speed / decel if phase.moving and leg.kind == "roll" and decel else 0.0, speed
-
-    def _brake(self, leg: Leg, at: int, speed: float, braking_s: float) -> list[Step]:
-        """Braking to a standstill on a leg under way; without it the robot stands at once."""
-        decel = self.plan.limits.decel_m_s2
-        if not braking_s or not decel:
-            self.recorder.rest(at)
-            return []
-        bend = leg.curvature_1_m
-        instant, segment = leg.instant, leg.segment
-        self.legs.append(
-            Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend, instant=instant, segment=segment)
-        )
-        brake = Phase(
-            braking_s, len(self.legs) - 1, speed, -decel, yaw_rad_s=speed * bend, yaw_rad_s2=-decel * bend, moving=True
-        )
-        return [Step("roll", (brake,))]
 
     def _alarms(self, alarms: Sequence[Alarm]) -> Generator[simpy.Event, Any, None]:
         for alarm in alarms:
@@ -276,14 +261,14 @@ class World:
         for piece, (upper, _) in enumerate(battery.taper):
             mode = CHARGING if piece == 0 else HELD + piece
             if upper >= level:
-                return battery.state_of(level), mode, True
-            if state < battery.state_of(upper) and (name, mode) not in self._passed:
-                return battery.state_of(upper), mode, False
-        return battery.state_of(level), CHARGING, True
+                return battery.full * level, mode, True
+            if state < battery.full * upper and (name, mode) not in self._passed:
+                return battery.full * upper, mode, False
+        return battery.full * level, CHARGING, True
 
     def _recharge(self, recharge: Recharge) -> Generator[simpy.Event, Any, None]:
         env, recorder, meter = self.env, self.recorder, self.meter
-        dock = self.docks.setdefault(recharge.place, simpy.Resource(env, max(1, recharge.slots)))
+        dock = self._docks.setdefault(recharge.place, simpy.Resource(env, max(1, recharge.slots)))
         order = list(self._batteries)
         level = 1.0 if recharge.until is None else recharge.until
         deadline = FOREVER_S if recharge.duration_s is None else env.now + recharge.duration_s
@@ -300,20 +285,16 @@ class World:
                     yield self._know(span)
                     if full is None:
                         at = meter.state
-                        low = [n for n in recharge.batteries if self._batteries[n].fraction(at[n]) < recharge.if_below]
-                        if not low:
+                        holds = {name: self._batteries[name].full for name in recharge.batteries}
+                        if all(at[name] / whole >= recharge.if_below for name, whole in holds.items()):
                             return
-                        full = {n for n in recharge.batteries if at[n] >= self._batteries[n].state_of(level)}
+                        full = {name for name, whole in holds.items() if at[name] >= whole * level}
                     active = [name for name in recharge.batteries if name not in full]
                     if not active and recharge.until is not None:
                         return
                     goals = {name: self._goal(name, level) for name in active}
-                    recorder.charge(
-                        tuple(
-                            0 if name not in recharge.batteries else HELD if name in full else goals[name][1]
-                            for name in order
-                        )
-                    )
+                    modes = {name: goals[name][1] if name in goals else HELD for name in recharge.batteries}
+                    recorder.charging = tuple(modes.get(name, 0) for name in order)
                     times: dict[str, float] = {}
                     while True:
                         for name in active:
@@ -336,7 +317,8 @@ class World:
                         self._passed |= {(name, goals[name][1]) for name in reached}
             finally:
                 recorder.changed = None
-                recorder.charge(())
+                recorder.close()
+                recorder.charging = ()
 
 
 def _length(phase: Phase, seconds: float) -> float:
@@ -348,8 +330,3 @@ def _length(phase: Phase, seconds: float) -> float:
 def _moved(steps: Iterable[Step], base: int) -> list[Step]:
     """Steps whose legs stand further back in a list."""
     return [Step(step.kind, tuple(p._replace(leg=p.leg + base) for p in step.phases)) for step in steps]
-
-
-def _again(leg: Leg) -> Leg:
-    """A leg that is gone on with: neither its segment nor a round begins with it."""
-    return leg._replace(first=False, gate=None if leg.gate is None else leg.gate._replace(first=False))

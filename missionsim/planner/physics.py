@@ -65,7 +65,7 @@ class Physics:
         self.names = tuple(batteries)
         self.capacity_wh = np.array([battery.capacity_j for battery in batteries.values()]) / J_PER_WH
         self.initial_wh = np.array([float(one.charge_j(one.initial)) for one in batteries.values()]) / J_PER_WH
-        kept = [battery.charge_j(battery.state_of(task.reserve_of(name))) for name, battery in batteries.items()]
+        kept = [battery.charge_j(battery.full * task.reserve_of(name)) for name, battery in batteries.items()]
         self.reserve_wh = np.array([float(joules) for joules in kept]) / J_PER_WH
         self.held_wh = np.zeros(len(self.names))
         self._infos = {info.name: info for info in self.setup.components}

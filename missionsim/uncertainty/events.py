@@ -44,7 +44,7 @@ def parts_of(setup: RunSetup) -> tuple[Part, ...] | str:
     """The parts of a nominal run, or in words why its events cannot be followed."""
     plan, world = setup.plan, alone(setup.model, setup.names, setup.execute(()))
     end = world.recorder.row(world.env.now, 0.0)
-    states, count = world.recorder.states(), len(setup.names)
+    states, count = list(world.recorder.states), len(setup.names)
     found: list[Part] = []
     begun: dict[int, int] = {}
     for row in [*world.recorder.rows, end]:

@@ -88,7 +88,7 @@ MUTANTS = [
     *_of(
         "meter",
         "engine/meter.py",
-        ("return leg.recharge.power_w.get(battery, 0.0) if leg.recharge else 0.0", "return 0.0"),
+        ("dock.power_w.get(name, 0.0) if dock else 0.0", "0.0"),
         ("below & (loads.charging == 0)", "below"),
         ("0.0 if state < reserve else", "0.0 if state > reserve else"),
         ("+ time, name, kind", ", name, kind"),
@@ -97,7 +97,7 @@ MUTANTS = [
         "meter",
         "engine/batteries.py",
         ("net = loads.energy_j - loads.charged_j", "net = loads.energy_j + loads.charged_j"),
-        ("full = self.charger_w * self.duration_s", "full = self.charger_w"),
+        ("full = self.charger_w * self.line.duration_s", "full = self.charger_w"),
         ("if at_start <= 0.0 < state - level", "if at_start > 0.0 < state - level"),
         ("return -current / self.charge_c", "return -2.0 * current / self.charge_c"),
         ("** (self.peukert - 1.0)\n        return", "** self.peukert\n        return"),
