@@ -267,7 +267,7 @@ def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> 
         if match is None:
             raise InputError.single(
                 "where the map lies on the earth is unknown",
-                file=environment._file,
+                file=str(environment.path),
                 allowed="--origin LATITUDE,LONGITUDE",
             )
         origin = (float(match.group(1)), float(match.group(2)))
@@ -276,7 +276,7 @@ def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> 
     for name in dict.fromkeys(stop.place for stop in stops):
         position = environment.places[name].position
         if position is None:
-            raise InputError.single(f"place '{name}' has no position", file=environment._file, allowed="x and y")
+            raise InputError.single(f"place '{name}' has no position", file=str(environment.path), allowed="x and y")
         points[name] = [round(degree, 9) for degree in plane.to_degrees(*position)]
     items: list[dict[str, Any]] = []
 

@@ -36,7 +36,7 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
     environment = mission.environment
     if environment is None or not mission.start:
         raise InputError.single(
-            "the mission has no map to drive on", file=mission._file, allowed="environment and start"
+            "the mission has no map to drive on", file=str(mission.path), allowed="environment and start"
         )
     told: dict[str, None] = {}
     stops = [Stop(mission.start)]
@@ -56,7 +56,9 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
                 told["charging for a time is written as charging until full"] = None
         elif leg.edge is None:
             raise InputError.single(
-                "the mission leaves the places of its map", file=mission._file, allowed="drives to places, along edges"
+                "the mission leaves the places of its map",
+                file=str(mission.path),
+                allowed="drives to places, along edges",
             )
         else:
             passed += leg.distance_m

@@ -3,22 +3,17 @@
 from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, ClassVar, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, StringConstraints, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
 from missionsim.errors import Fault
 from missionsim.inputs.tree import Document, Node
 
-
-def _text_of_int(raw: Any) -> Any:
-    return str(raw) if type(raw) is int else raw
-
-
 Name = Annotated[
     str,
-    BeforeValidator(_text_of_int, json_schema_input_type=str | int),
+    BeforeValidator(lambda raw: str(raw) if type(raw) is int else raw, json_schema_input_type=str | int),
     StringConstraints(strict=True, min_length=1, max_length=200),
 ]
 """Name of a place, segment, surface…: any text (a whole number counts as text)."""
@@ -77,7 +72,7 @@ def as_list(raw: object) -> object:
 
 
 class Model(BaseModel):
-    """Frozen model; `line` and `path_in_file` are known for messages after the loader has sealed it."""
+    """Frozen model; `line` and `where` are known for messages after the loader has sealed it."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -89,8 +84,10 @@ class Model(BaseModel):
         defer_build=True,  # only the kinds that are read are built
     )
 
-    _line: int = PrivateAttr(default=0)
-    _where: tuple[str | int, ...] = PrivateAttr(default=())
+    line: ClassVar[int] = 0
+    """1-based line in the file, 0 for a default."""
+    where: ClassVar[tuple[str | int, ...]] = ()
+    """Path in the file."""
 
     @model_validator(mode="after")
     def _checked(self) -> Self:
@@ -100,60 +97,32 @@ class Model(BaseModel):
     def _check(self) -> None:
         """Refuse values that do not go together."""
 
-    @property
-    def line(self) -> int:
-        """1-based line in the file, 0 for a default."""
-        return self._line
-
-    @property
-    def where(self) -> tuple[str | int, ...]:
-        """Path in the file."""
-        return self._where
-
 
 class FileModel(Model):
-    """Top object of a file."""
+    """Top object of a file. What is not read from it, the loader puts into the instance's ``vars``."""
 
-    _file: str = PrivateAttr(default="")
-    _sha256: str = PrivateAttr(default="")
-    _document: Document = PrivateAttr(default_factory=lambda: Document("", None, Node(None, 0, 0)))
-    _whole: bool = PrivateAttr(default=True)
-    _sound: bool = PrivateAttr(default=True)
-    _warnings: tuple[Fault, ...] = PrivateAttr(default=())
+    document: ClassVar[Document] = Document("", None, Node(None, 0, 0))
+    """What it was read from, for the positions in messages."""
+    whole: ClassVar[bool] = True
+    """False where the file has faults and this is only what could be made of it for further checks."""
+    sound: ClassVar[bool] = True
+    """False where checks across the file's parts found faults."""
+    warnings: ClassVar[tuple[Fault, ...]] = ()
+    """What the checks of this file, and of those that it names, found strange but possible."""
 
-    def faults(self, document: Document) -> list[Fault]:
+    def faults(self) -> list[Fault]:
         """Faults across parts of the file that the model itself knows to look for."""
         return []
 
     @property
     def path(self) -> Path:
         """Path of the file."""
-        return Path(self._file)
-
-    @property
-    def whole(self) -> bool:
-        """False where the file has faults and this is only what could be made of it for further checks."""
-        return self._whole
-
-    @property
-    def sound(self) -> bool:
-        """False where checks across the file's parts found faults."""
-        return self._sound
-
-    @property
-    def warnings(self) -> tuple[Fault, ...]:
-        """What the checks of this file, and of those that it names, found strange but possible."""
-        return self._warnings
+        return Path(self.document.file)
 
     @property
     def sha256(self) -> str:
         """Hash of the file's bytes (before any override)."""
-        return self._sha256
-
-    @property
-    def document(self) -> Document:
-        """What it was read from, for the positions in messages."""
-        return self._document
+        return self.document.sha256
 
 
 class DescribedFile(FileModel):

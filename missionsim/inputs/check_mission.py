@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault
+from missionsim.inputs.checker import Checker
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import CorrelationSpec, MissionSpec
 from missionsim.inputs.parameter import uncertain_values
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import flat_segments
-from missionsim.inputs.tree import Document, dotted
-from missionsim.inputs.validation import Checker, Where
+from missionsim.inputs.tree import Where, dotted
 
 _DECIDED = {"time_s", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s", "slope_rad", "payload_kg"}
 _DECIDED |= {"surface", "scheme", "navigation", "segment", "x_m", "y_m", "heading_rad"}
@@ -23,24 +23,24 @@ _DECIDED |= {"moving", "moving_time_s", "starts"}
 _MAX_SEGMENTS = 1_000_000
 
 
-def check_mission(mission: MissionSpec, document: Document) -> list[Fault]:
+def check_mission(mission: MissionSpec) -> list[Fault]:
     """Places, ways, schemes, sensors, speeds, activities; as far as robot and environment could be loaded."""
-    return _MissionCheck(mission, document).run()
+    return _MissionCheck(mission).run()
 
 
 class _MissionCheck:
-    def __init__(self, mission: MissionSpec, document: Document) -> None:
+    def __init__(self, mission: MissionSpec) -> None:
         self.mission = mission
-        self.check = Checker(document)
+        self.check = Checker(mission.document)
         self.robot: RobotSpec | None = mission.robot
         self.environment: EnvironmentSpec | None = mission.environment
-        has_environment = isinstance(document.data, dict) and document.data.get("environment") is not None
-        self.environment_broken = has_environment and self.environment is None
+        data = mission.document.data if isinstance(mission.document.data, dict) else {}
+        self.environment_broken = self.environment is None and data.get("environment") is not None
         self.places: list[str] = []
         self.mapped = False
         self.reached: dict[str, set[str]] = {}
         if self.environment is not None:
-            self.places = Checker(self.environment.document).raw_keys("places")
+            self.places = self.environment.document.names("places")
             self.mapped = self.environment.whole and self.environment.sound
         # a movement leads off the map
         self.lost = any(
@@ -209,7 +209,7 @@ class _MissionCheck:
         schemes = self.robot.schemes.values() if self.robot is not None else ()
         everywhere = [item for _, item in told] + [scheme.behaviour for scheme in schemes]
         for long, often in (("obstacle_stop", "obstacle_spacing"), ("relocalisation_time", "relocalisation_failure")):
-            wrong = any(self.check.faulty((*where, often)) for where, _ in told)
+            wrong = any(self.check.document.is_faulty((*where, often)) for where, _ in told)
             if wrong or any(getattr(item, often, None) is not None for item in everywhere):
                 continue
             for where, item in told:
@@ -249,7 +249,7 @@ class _MissionCheck:
         if robot is None:
             return
         if settings.scheme is not None:
-            schemes = Checker(robot.document).raw_keys("schemes")
+            schemes = robot.document.names("schemes")
             check.known((*where, "scheme"), settings.scheme, schemes, "control scheme")
         name = mission.scheme_of(segment) if segment is not None else settings.scheme
         scheme = robot.schemes.get(name or "")
@@ -311,7 +311,7 @@ class _MissionCheck:
 
     def activities(self) -> None:
         for index, activity in enumerate(self.mission.activities):
-            where: tuple[str | int, ...] = ("activities", index)
+            where: Where = ("activities", index)
             if self.robot is not None:
                 name = activity.component
                 self.check.units((*where, "component"), name, activity.units, self.robot, 1)
@@ -335,8 +335,9 @@ class _MissionCheck:
                         self.check.known((*at, "segment"), moment.segment, labels, "segment")
 
     def correlations(self) -> None:
-        for index, item in enumerate(self.mission.correlations):
-            where: tuple[str | int, ...] = ("correlations", index, "between")
+        mission = self.mission
+        for index, item in enumerate(mission.correlations):
+            where: Where = ("correlations", index, "between")
             if item.between[0] == item.between[1]:
                 self.check.add(where, "a value is correlated with itself", got=item.between[0], allowed="two values")
                 continue
@@ -347,8 +348,9 @@ class _MissionCheck:
                 if not known and (self.robot is None or self.environment_broken):
                     continue
                 self.check.known((*where, number), path, known, "uncertain value")
-        if not self.check.touched("correlations") and not _possible(self.mission.correlations):
-            got = ", ".join(dict.fromkeys(path for item in self.mission.correlations for path in item.between))
+        faulty = mission.document.is_faulty(("correlations",), below=True)
+        if not faulty and not _possible(mission.correlations):
+            got = ", ".join(dict.fromkeys(path for item in mission.correlations for path in item.between))
             allowed = "a positive definite matrix of correlations"
             self.check.add(("correlations",), "these correlations cannot hold together", got, allowed, key=True)
 

@@ -8,20 +8,20 @@ from typing import Any
 
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.inputs.checker import Checker
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LawSpec, RobotSpec, SchemeSpec
 from missionsim.inputs.segments import flat_segments
-from missionsim.inputs.tree import Document
+from missionsim.inputs.tree import Where
 from missionsim.inputs.units import same_dimension
-from missionsim.inputs.validation import Checker, Where
 from missionsim.inputs.values import Parameter
 
 
-def check_robot(robot: RobotSpec, document: Document) -> list[Fault]:
+def check_robot(robot: RobotSpec) -> list[Fault]:
     """Batteries, links, relays, requirements, sensors of schemes, formulas, motion model and effects."""
-    check = Checker(document)
-    batteries = check.raw_keys("batteries") or list(robot.batteries)
-    components = check.raw_keys("components")
+    check = Checker(robot.document)
+    batteries = check.document.names("batteries") or list(robot.batteries)
+    components = check.document.names("components")
     for name, battery in robot.batteries.items():
         if battery.initial_charge.value <= battery.reserve.value and battery.reserve.value > 0:
             got, allowed = f"{battery.initial_charge.value:g}", f"more than {battery.reserve.value:g}"
@@ -41,7 +41,7 @@ def check_robot(robot: RobotSpec, document: Document) -> list[Fault]:
     for name, scheme in robot.schemes.items():
         _scheme(check, robot, name, scheme)
     if robot.idle_scheme is not None:
-        check.known(("idle_scheme",), robot.idle_scheme, check.raw_keys("schemes"), "control scheme")
+        check.known(("idle_scheme",), robot.idle_scheme, check.document.names("schemes"), "control scheme")
     _motion(check, robot, batteries)
     _effects(check, robot, batteries, components)
     return check.faults
@@ -50,11 +50,12 @@ def check_robot(robot: RobotSpec, document: Document) -> list[Fault]:
 def _component(
     check: Checker, robot: RobotSpec, name: str, component: ComponentSpec, batteries: list[str], components: list[str]
 ) -> None:
-    where: tuple[str | int, ...] = ("components", name)
+    where: Where = ("components", name)
     for index, load in enumerate(component.loads):
         at = (*where, "loads", index)
         check.known((*at, "battery"), load.battery, batteries, "battery")
-        if load.through is not None and check.known((*at, "through"), load.through, check.raw_keys("links"), "link"):
+        links = check.document.names("links")
+        if load.through is not None and check.known((*at, "through"), load.through, links, "link"):
             link = robot.links.get(load.through)
             if link is not None and link.battery != load.battery and link.battery in batteries:
                 message = f"link '{load.through}' is fed by another battery"
@@ -62,7 +63,7 @@ def _component(
         if load.law is not None:
             _law(check, (*at, "law"), load.law)
     if component.relay is not None:
-        check.known((*where, "relay"), component.relay, check.raw_keys("switchboards"), "switchboard")
+        check.known((*where, "relay"), component.relay, check.document.names("switchboards"), "switchboard")
     for index, other in enumerate(component.requires):
         check.known((*where, "requires", index), other, components, "component")
 
@@ -110,7 +111,7 @@ def _relays(check: Checker, robot: RobotSpec) -> None:
 
 
 def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec) -> None:
-    where: tuple[str | int, ...] = ("schemes", name)
+    where: Where = ("schemes", name)
 
     def sensors(at: Where, given: Mapping[str, int], missing: str = "") -> None:
         for sensor, count in given.items():
@@ -126,7 +127,7 @@ def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec) -> 
     sensors((*where, "default_sensors"), scheme.default_sensors)
     if scheme.default_navigation is not None:
         check.known((*where, "default_navigation"), scheme.default_navigation, scheme.navigation, "navigation")
-    if scheme.processor and robot.processor is None and "processor" not in check.raw_keys():
+    if scheme.processor and robot.processor is None and "processor" not in check.document.names():
         message = "the robot has no processor that this table could be for"
         check.add((*where, "processor"), message, "", "processor: {battery: …} in the robot", key=True)
     if scheme.motion and scheme.image_analysis:
@@ -152,7 +153,7 @@ def _motion(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
     if motion.model == "none":
         return
     if motion.model == "expression":
-        texts: dict[tuple[str | int, ...], str] = {("motion", "power"): str(motion.power)}
+        texts: dict[Where, str] = {("motion", "power"): str(motion.power)}
         if motion.standing is not None:
             texts["motion", "standing"] = str(motion.standing)
         check.formulas(texts, motion.parameters)
@@ -185,7 +186,7 @@ def _parameters(
         elif not spec.low <= parameter.value <= spec.high:
             allowed = f"{spec.low:g} to {spec.high:g}" if spec.high < float("inf") else f"at least {spec.low:g}"
             check.add(at, f"impossible value of {name}", f"{parameter.value:g} {spec.unit}", allowed)
-    present = check.raw_keys(*where, "parameters")
+    present = check.document.names(*where, "parameters")
     for name, spec in known.items():
         if name not in given and name not in present and spec.required:
             message, allowed = f"parameter '{name}' of {what} is missing", f"{name}: {spec.meaning}, {spec.unit}"
@@ -195,7 +196,7 @@ def _parameters(
 def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components: list[str]) -> None:
     seen: dict[str, int] = {}
     for index, effect in enumerate(robot.effects):
-        where: tuple[str | int, ...] = ("effects", index)
+        where: Where = ("effects", index)
         check.known((*where, "battery"), effect.battery, batteries, "battery")
         label = f"{effect.battery}/{effect.name or effect.effect}"
         if label in seen:
@@ -272,7 +273,7 @@ def _reads(robot: RobotSpec, setting: str) -> bool:
     return any(_WORDS[setting].search(text) for text in formulas if text)
 
 
-def _given(mission: MissionSpec, setting: str) -> Iterator[tuple[Any, tuple[str | int, ...], str]]:
+def _given(mission: MissionSpec, setting: str) -> Iterator[tuple[Any, Where, str]]:
     """Document, path and text of each value that is not zero."""
     document = mission.document
     if setting == "payload" and mission.defaults.payload is not None and mission.defaults.payload.value:

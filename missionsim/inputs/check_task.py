@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from missionsim.errors import Fault
+from missionsim.inputs.checker import Checker
 from missionsim.inputs.task import SpeedRange, TaskSpec, VisitSpec, speeds_of
-from missionsim.inputs.tree import Document
-from missionsim.inputs.validation import Checker, Where
+from missionsim.inputs.tree import Where
 
 
-def check_task(task: TaskSpec, document: Document) -> list[Fault]:
+def check_task(task: TaskSpec) -> list[Fault]:
     """Places, ways, visits and their order, schemes, speeds, docks; as far as robot and environment could be loaded."""
-    return _TaskCheck(task, document).run()
+    return _TaskCheck(task).run()
 
 
 class _TaskCheck:
-    def __init__(self, task: TaskSpec, document: Document) -> None:
+    def __init__(self, task: TaskSpec) -> None:
         self.task = task
-        self.check = Checker(document)
-        self.places = None if task.environment is None else Checker(task.environment.document).raw_keys("places")
+        self.check = Checker(task.document)
+        self.places = None if task.environment is None else task.environment.document.names("places")
 
     def run(self) -> list[Fault]:
         task = self.task

@@ -11,7 +11,7 @@ from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
-from missionsim.inputs.examples import find_robot, unknown_robot
+from missionsim.inputs.examples import robot_file
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter, parameters
@@ -26,10 +26,7 @@ _DIGITS = 7
 
 def robot_text(name_or_path: str | os.PathLike[str]) -> str:
     """Text of a shipped robot's file, or of the file at a path. Raises InputError: no such robot."""
-    path = find_robot(str(name_or_path), None)
-    if path is None:
-        raise InputError(unknown_robot(str(name_or_path)))
-    return path.read_text(encoding="utf-8")
+    return robot_file(name_or_path).read_text(encoding="utf-8")
 
 
 class Editing:

@@ -13,8 +13,8 @@ from missionsim.errors import Fault
 from missionsim.files import grouped
 from missionsim.inputs import values
 from missionsim.inputs.base import DescribedFile, Identifier, Model, Name, Text, wrong
-from missionsim.inputs.tree import Document
-from missionsim.inputs.validation import Checker
+from missionsim.inputs.checker import Checker
+from missionsim.inputs.tree import Where
 from missionsim.inputs.values import Parameter
 
 _ROUNDING = 1e-3
@@ -173,30 +173,30 @@ class EnvironmentSpec(DescribedFile):
         made.__dict__.pop("_open_from", None)
         return made
 
-    def faults(self, document: Document) -> list[Fault]:
+    def faults(self) -> list[Fault]:
         """Edges join known places, are not loops, have a length that is possible."""
-        check = Checker(document)
-        places = check.raw_keys("places")
+        check = Checker(self.document)
+        places = self.document.names("places")
         for index, edge in enumerate(self.edges):
-            where: tuple[str | int, ...] = ("edges", index)
-            known = check.known((*where, "from"), edge.from_, places, "place")
-            known = check.known((*where, "to"), edge.to, places, "place") and known
-            if not known:
-                continue
-            if check.touched("places", edge.from_) or check.touched("places", edge.to):
+            where: Where = ("edges", index)
+            ends = {"from": edge.from_, "to": edge.to}
+            known = [check.known((*where, key), name, places, "place") for key, name in ends.items()]
+            if not all(known) or any(self.document.is_faulty(("places", name), below=True) for name in ends.values()):
                 continue
             if edge.from_ == edge.to:
                 check.add((*where, "to"), "an edge from a place to itself", edge.to, "another place")
                 continue
             straight = self.straight_m(edge.from_, edge.to)
+            written = self.document.node(where).children
+            given = isinstance(written, dict) and "length" in written  # perhaps with a value that is at fault
             if edge.length is not None:
                 if straight is not None and edge.length.value < straight * (1 - _ROUNDING):
                     message, allowed = "shorter than the straight line between its places", f"at least {straight:.3f} m"
                     check.add((*where, "length"), message, f"{edge.length.value:g} m", allowed)
-            elif straight is None and not check.given(where, "length"):
+            elif straight is None and not given:
                 message = "edge without a length, and its places have no coordinates"
                 check.add(where, message, f"{edge.from_} to {edge.to}", "length: 16 m, or x and y for both places")
-            elif straight == 0.0 and not check.given(where, "length"):
+            elif straight == 0.0 and not given:
                 got = f"{edge.from_} and {edge.to} at the same point"
                 check.add(where, "edge of length 0", got, "length: 16 m")
         return check.faults

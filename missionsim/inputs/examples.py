@@ -8,7 +8,7 @@ from pathlib import Path
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.files import atomic_write
-from missionsim.inputs.tree import Document, as_written
+from missionsim.inputs.tree import Document, Where, as_written
 
 PARTS = ("missions", "environments", "docs", "robots")
 """Folders that `write_examples` writes; README's commands run beside them."""
@@ -61,16 +61,29 @@ def shipped_robots() -> dict[str, Path]:
     return {path.stem: path for path in sorted(_ROBOTS.glob("*.yaml"))}
 
 
-def find_robot(reference: str, folder: Path | None) -> Path | None:
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that cannot be one is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def find_robot(reference: str, folder: Path | None = None) -> Path | None:
     """File of a robot named by a shipped name or a path (relative to `folder`), or None."""
     shipped = _ROBOTS / f"{reference}.yaml"
     if reference.replace("_", "").isalnum() and shipped.is_file():
         return shipped
     candidate = Path(reference) if folder is None else folder / reference
-    try:
-        return candidate if candidate.is_file() else None
-    except (OSError, ValueError):
-        return None
+    return candidate if is_file(candidate) else None
+
+
+def robot_file(name_or_path: str | os.PathLike[str]) -> Path:
+    """File of a shipped robot, or the path. Raises InputError: no such robot."""
+    found = find_robot(str(name_or_path))
+    if found is None:
+        raise InputError(unknown_robot(str(name_or_path)))
+    return found
 
 
 def files_near(file: str, reference: str) -> list[str]:
@@ -83,11 +96,11 @@ def files_near(file: str, reference: str) -> list[str]:
     return [os.path.join(folder, name) for name in names if name.endswith((".yaml", ".yml"))]
 
 
-def unknown_robot(reference: str, document: Document | None = None, path: tuple[str | int, ...] = ()) -> Fault:
+def unknown_robot(reference: str, document: Document | None = None, path: Where = ()) -> Fault:
     """The fault of a robot that is not there, at the place in a file that names it."""
     names = list(shipped_robots())
-    hint = did_you_mean(reference, [*names, *([] if document is None else files_near(document.file, reference))])
-    allowed = ", ".join(names) + ", or the path of a robot file"
+    told, allowed = f"no robot '{reference}'", ", ".join(names) + ", or the path of a robot file"
     if document is None:
-        return Fault("", 0, 0, f"no robot '{reference}'", got=reference, allowed=allowed, hint=hint)
-    return document.fault(path, f"no robot '{reference}'", got=as_written(reference), allowed=allowed, hint=hint)
+        return Fault("", 0, 0, told, got=reference, allowed=allowed, hint=did_you_mean(reference, names))
+    hint = did_you_mean(reference, [*names, *files_near(document.file, reference)])
+    return document.fault(path, told, got=as_written(reference), allowed=allowed, hint=hint)

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.inputs.base import FileModel, Model, Name, Text, alone
-from missionsim.inputs.tree import Document, dotted
+from missionsim.inputs.tree import dotted
 from missionsim.inputs.values import AnyNumber, Parameter, Period, QuantityOf
 from missionsim.logs.raw import MEASURED, measured_batteries
 
@@ -134,9 +134,10 @@ class MapSpec(FileModel):
     columns: Annotated[dict[Alias, Target], Field(min_length=1)]
     others: bool = False
 
-    def faults(self, document: Document) -> list[Fault]:
+    def faults(self) -> list[Fault]:
         """Faults that need no source: formulas that cannot be read, and columns that every log has to have."""
         found: list[Fault] = []
+        document = self.document
         for path, text in self.formulas():
             line, column = document.position(path)
             try:
@@ -144,8 +145,7 @@ class MapSpec(FileModel):
             except InputError as error:
                 found.extend(error.faults)
         # a column whose mapping is at fault is missing from `columns`, but not from the file
-        written = document.data.get("columns") if isinstance(document.data, dict) else None
-        present = set(self.columns) | (set(written) if isinstance(written, dict) else set())
+        present = {*self.columns, *document.names("columns")}
         if "time_s" not in present:
             allowed = "time_s: and a formula; for a bag or ULog `time_s: time_s`"
             message, hint = "the column 'time_s' is missing", did_you_mean("time_s", self.columns)

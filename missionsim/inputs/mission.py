@@ -1,10 +1,12 @@
 """The mission file, and the study file: alternatives of a mission as differences to a baseline."""
 
+import functools
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, TypeVar, cast, overload
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, overload
 
-from pydantic import BeforeValidator, Discriminator, Field, JsonValue, PrivateAttr, Tag
+from pydantic import BeforeValidator, Discriminator, Field, JsonValue, Tag
 
+from missionsim.errors import Fault
 from missionsim.inputs.base import Count, DescribedFile, FileModel, Identifier, Model, Name, Text, alone, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.robot import BehaviourSpec, RobotSpec
@@ -108,20 +110,12 @@ class RobotAtSite(DescribedFile):
     initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
     defaults: DefaultSpec = DefaultSpec.model_construct()
 
-    _robot: Any = PrivateAttr(default=None)
-    _environment: Any = PrivateAttr(default=None)
-
-    @property
-    def robot(self) -> RobotSpec:
-        """The robot, loaded."""
-        robot: RobotSpec = (self.__pydantic_private__ or {})["_robot"]  # ten times as fast as self._robot
-        return robot
-
-    @property
-    def environment(self) -> EnvironmentSpec | None:
-        """The environment, loaded, or None."""
-        environment: EnvironmentSpec | None = (self.__pydantic_private__ or {})["_environment"]
-        return environment
+    robot: ClassVar[RobotSpec]
+    """The robot, loaded."""
+    environment: ClassVar[EnvironmentSpec | None]
+    """The environment, loaded, or None."""
+    overrides: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """What the command line set: (path, text)."""
 
 
 class MissionSpec(RobotAtSite):
@@ -134,13 +128,12 @@ class MissionSpec(RobotAtSite):
     behaviour: MissionBehaviour = MissionBehaviour.model_construct()
     correlations: tuple[CorrelationSpec, ...] = ()
 
-    _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
-    _remembered: dict[Any, Any] = PrivateAttr(default_factory=dict)
+    def faults(self) -> list[Fault]:
+        """What does not go together with the robot and the environment, as far as these could be loaded."""
+        from missionsim.inputs.check_mission import check_mission
+        from missionsim.inputs.check_robot import unread
 
-    @property
-    def overrides(self) -> tuple[tuple[str, str], ...]:
-        """What the command line set: (path, text)."""
-        return self._overrides
+        return [*check_mission(self), *unread(self)]
 
     @overload
     def setting(self, segment: object, key: Literal["speed", "yaw_rate", "payload"]) -> Parameter | None: ...
@@ -153,24 +146,26 @@ class MissionSpec(RobotAtSite):
         own = getattr(segment, key, None)
         return own if own is not None else getattr(self.defaults, key, None)
 
+    @functools.cached_property
+    def _remembered(self) -> dict[Any, Any]:
+        return {}
+
     def remembered(self, what: str, make: Callable[[], T]) -> T:
         """What follows from this mission and its robot alone, made once: a mission is often run again."""
-        known = (self.__pydantic_private__ or {})["_remembered"]
-        of, found = known.get(what, (None, None))
+        of, found = self._remembered.get(what, (None, None))
         if of is not self.robot:
             found = make()
-            known[what] = self.robot, found
+            self._remembered[what] = self.robot, found
         return cast(T, found)
 
     def equipment(self, segment: SegmentSpec) -> tuple[str, str, tuple[tuple[str, int], ...]]:
         """Control scheme, navigation (empty where none) and sensors of a segment; remembered for the next run."""
-        known = (self.__pydantic_private__ or {})["_remembered"]
-        found: tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]] | None = known.get(id(segment))
+        found: tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]] | None = self._remembered.get(id(segment))
         if found is None:
             sensors = tuple(sorted(self.sensors_of(segment).items()))
             # with the segment, which lives on with it: another one must not come to have its id
             made = (self.scheme_of(segment) or "", self.navigation_of(segment) or "", sensors)
-            found = known[id(segment)] = (segment, made)
+            found = self._remembered[id(segment)] = (segment, made)
         return found[1]
 
     def scheme_of(self, segment: SegmentSpec) -> str | None:

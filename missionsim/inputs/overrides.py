@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs.tree import Document, parse_document
 
+T = TypeVar("T")
 ROOTS = ("robot", "environment")
 """First parts of a path that lead into another file."""
 OF_ROBOT = ("body", "batteries", "motion", "components", "links", "switchboards", "processor", "schemes", "effects")
@@ -25,10 +26,10 @@ def split_assignment(text: str) -> tuple[str, str]:
     return path.strip(), value.strip()
 
 
-def route(overrides: Iterable[tuple[str, object]], data: object) -> dict[str, list[tuple[str, object]]]:
+def route(overrides: Iterable[tuple[str, T]]) -> dict[str, list[tuple[str, T]]]:
     """Overrides by file: ``""`` (the mission), ``robot``, ``environment``. ``robot`` alone replaces the mission's
     robot; ``robot.x`` goes into the robot's file, and so does ``schemes.x``."""
-    result: dict[str, list[tuple[str, object]]] = {"": [], **{root: [] for root in ROOTS}}
+    result: dict[str, list[tuple[str, T]]] = {"": [], **{root: [] for root in ROOTS}}
     for path, value in overrides:
         first, _, rest = path.partition(".")
         if first in ROOTS and rest:

@@ -22,7 +22,6 @@ from missionsim.inputs.base import (
     wrong,
 )
 from missionsim.inputs.battery import BatterySpec
-from missionsim.inputs.tree import Document
 from missionsim.inputs.values import Parameter
 
 
@@ -290,8 +289,8 @@ class RobotSpec(DescribedFile):
                 found |= dict.fromkeys(row.sensors)
         return tuple(name for name in self.components if name in found)
 
-    def faults(self, document: Document) -> list[Fault]:
+    def faults(self) -> list[Fault]:
         """What parts of the file say of each other; see `missionsim.inputs.check_robot`."""
         from missionsim.inputs.check_robot import check_robot
 
-        return check_robot(self, document)
+        return check_robot(self)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
+from missionsim.errors import Fault
 from missionsim.inputs.base import Identifier, Model, Name, Sensors, Text, alone, as_list, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import Reserve, RobotAtSite, reserve_of
+from missionsim.inputs.overrides import ROOTS, route
 from missionsim.inputs.values import Duration, Fraction, Mass, Parameter, Period, Share, Speed
 
 Weight = Annotated[float, Field(strict=False, ge=0.0, le=1e6)]
@@ -213,18 +215,19 @@ class TaskSpec(RobotAtSite):
     )
     repeat: RepeatSpec | None = None
 
-    _elsewhere: tuple[tuple[str, str], ...] = PrivateAttr(default=())
+    environment: ClassVar[EnvironmentSpec]
+
+    def faults(self) -> list[Fault]:
+        """What does not go together with the robot and the environment, as far as these could be loaded."""
+        from missionsim.inputs.check_task import check_task
+
+        return check_task(self)
 
     @property
     def elsewhere(self) -> tuple[tuple[str, str], ...]:
         """What the command line set in the files of robot and environment, (path, text): a mission needs it as well."""
-        return self._elsewhere
-
-    @property
-    def environment(self) -> EnvironmentSpec:
-        """The environment, loaded."""
-        environment: EnvironmentSpec = self._environment
-        return environment
+        by_file = route(self.overrides)
+        return tuple((f"{part}.{path}", text) for part in ROOTS for path, text in by_file[part])
 
     @property
     def goal(self) -> str:

@@ -29,7 +29,8 @@ _STR, _INT, _FLOAT, _BOOL, _NULL = (f"tag:yaml.org,2002:{kind}" for kind in ("st
 _CORE_TAGS = {_STR, _INT, _FLOAT, _BOOL, _NULL, "tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"}
 _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
-Path_ = tuple[str | int, ...]
+Where = tuple[str | int, ...]
+"""Path of a value: keys and list positions."""
 
 
 @dataclass(slots=True, eq=False)
@@ -49,9 +50,15 @@ class Node:
     """Of JSON: the part of the text that it stands in, for edits in place."""
 
 
+class Numbered(list[Any]):
+    """A list that has lost items and remembers the places of the others."""
+
+    numbers: list[int]
+
+
 @dataclass(slots=True)
 class Document:
-    """A read YAML file."""
+    """A read YAML file, perhaps with parts left out; its methods take paths in what is left."""
 
     file: str
     """Path as the user gave it."""
@@ -60,58 +67,77 @@ class Document:
     root: Node
     """The same with positions."""
     sha256: str = ""
-    overrides: dict[Path_, str] = field(default_factory=dict)
+    overrides: dict[Where, str] = field(default_factory=dict)
     """Paths that the command line set, with the text given there."""
     prefix: str = ""
     """What the command line puts before this file's paths (``robot.``)."""
+    shape: Any = None
+    """What is left of `data` where parts were left out."""
+    faulty: dict[Where, bool] = field(default_factory=dict)
+    """Paths of the file that were told to be faulty (True) and those above them (False)."""
 
-    def original(self, path: Sequence[str | int]) -> Path_:
-        """The path in the file; a document with parts left out translates it."""
-        return tuple(path)
+    def original(self, path: Sequence[str | int]) -> Where:
+        """The path in the file of a path in what is left."""
+        if self.shape is None:
+            return tuple(path)
+        result, data = [], self.shape
+        for item in path:
+            numbered = isinstance(data, Numbered) and isinstance(item, int) and item < len(data)
+            result.append(data.numbers[item] if numbered else item)
+            try:
+                data = data[item]
+            except (KeyError, IndexError, TypeError):
+                data = None
+        return tuple(result)
+
+    def is_faulty(self, path: Sequence[str | int], *, below: bool = False) -> bool:
+        """Whether a fault was told at a path or above it; or `below` it."""
+        if not self.faulty:
+            return False
+        path = self.original(path)
+        return any(self.faulty.get(path[:n]) for n in range(len(path) + 1)) or (below and path in self.faulty)
 
     def overridden(self, path: Sequence[str | int]) -> str | None:
         """Text given on the command line for this path or one above it, or None."""
-        path = self.original(path)
-        for end in range(len(path), 0, -1):
-            text = self.overrides.get(tuple(path[:end]))
-            if text is not None:
-                return text
-        return None
+        path = self.original(path) if self.overrides else ()
+        return next((self.overrides[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.overrides), None)
 
     def node(self, path: Sequence[str | int]) -> Node:
         """Deepest node along a path."""
-        path = self.original(path)
         node = self.root
-        for item in path:
-            child = _child(node, item)
-            if child is None:
+        for item in self.original(path):
+            children = node.children
+            if isinstance(children, dict) and str(item) in children:
+                node = children[str(item)]
+            elif isinstance(children, list) and isinstance(item, int) and 0 <= item < len(children):
+                node = children[item]
+            else:
                 break
-            node = child
         return node
+
+    def names(self, *path: str | int) -> list[str]:
+        """Keys of a mapping as the file has them, also those whose values are at fault."""
+        data = self.data
+        for item in path:
+            data = data.get(item) if isinstance(data, dict) else None
+        return [str(key) for key in data] if isinstance(data, dict) else []
 
     def position(self, path: Sequence[str | int], *, key: bool = False) -> tuple[int, int]:
         """1-based line and column of the value at `path` (of its key with `key`), or of the deepest one above it."""
         if self.overridden(path) is not None:
             return 0, 0
-        path = self.original(path)
-        node = self.root
-        where = (node.line, node.column)
-        for item in path:
-            child = _child(node, item)
-            if child is None:
-                break
-            where = (child.line, child.column)
-            if key and item == path[-1] and isinstance(item, str) and item in node.keys:
-                where = node.keys[item]
-            node = child
-        return where
+        node = self.node(path)
+        if key and path:
+            parent, last = self.node(path[:-1]), path[-1]
+            if isinstance(parent.children, dict) and parent.children.get(str(last)) is node and last in parent.keys:
+                return parent.keys[str(last)]
+        return node.line, node.column
 
     def place(self, path: Sequence[str | int], *, key: bool = False) -> Place:
         """File, line, column and dotted path of a value (of its key); no file where the command line set it."""
         given = self.overridden(path) is not None
-        line, column = self.position(path, key=key)
         where = (self.prefix if given else "") + dotted(self.original(path))
-        return Place("" if given else self.file, line, column, where)
+        return Place("" if given else self.file, *self.position(path, key=key), where)
 
     def fault(
         self,
@@ -194,164 +220,112 @@ def parse_document(text: str, *, name: str = "text") -> Document:
         line = text.count("\n", 0, control.start()) + 1
         column = control.start() - text.rfind("\n", 0, control.start())
         raise InputError(Fault(name, line, column, "control character in the text", got=repr(control.group())))
-    builder = _Builder(name)
+    faults: list[Fault] = []
+    root = None
     loader: Any = CCoreLoader(io.StringIO(text))
     try:
-        root = builder.build(loader)
-    except yaml.MarkedYAMLError as problem:
-        mark = problem.problem_mark or problem.context_mark
-        message = (problem.problem or problem.context or "not YAML").strip()
-        builder.faults.append(
-            Fault(name, mark.line + 1 if mark else 0, mark.column + 1 if mark else 0, f"not YAML: {message}")
-        )
-        root = None
+        root = _tree(loader, name, faults)
     except yaml.YAMLError as problem:
-        builder.faults.append(Fault(name, 0, 0, f"not YAML: {str(problem).splitlines()[0]}"))
-        root = None
+        marked: Any = problem if isinstance(problem, yaml.MarkedYAMLError) else None
+        mark = marked and (marked.problem_mark or marked.context_mark)
+        told = ((marked.problem or marked.context) if marked else "") or str(problem).splitlines()[0]
+        line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
+        faults.append(Fault(name, line, column, f"not YAML: {told.strip()}"))
     finally:
         loader.dispose()
-    if builder.faults or root is None:
-        raise InputError(
-            builder.faults or [Fault(name, 1, 1, "the file is empty", allowed="a mapping that starts with 'kind:'")]
-        )
+    if faults or root is None:
+        empty = Fault(name, 1, 1, "the file is empty", allowed="a mapping that starts with 'kind:'")
+        raise InputError(faults or empty)
     return Document(name, root.data, root)
 
 
-def _child(node: Node, item: str | int) -> Node | None:
-    if isinstance(node.children, dict):
-        return node.children.get(str(item))
-    if isinstance(node.children, list) and isinstance(item, int) and 0 <= item < len(node.children):
-        return node.children[item]
-    return None
+def _tree(loader: Any, name: str, faults: list[Fault]) -> Node | None:
+    """Nodes of a parser's events, made with an explicit stack; `faults` is added to."""
+    root: Node | None = None
+    anchors: dict[str, Node] = {}
+    stack: list[Node] = []
+    pending: list[str | None] = []  # the key that waits for its value, per open mapping
+    documents = total = 0
 
+    def tell(message: str, got: str = "", allowed: str = "", stop: bool = True) -> None:
+        mark = event.start_mark
+        faults.append(Fault(name, mark.line + 1, mark.column + 1, message, got=got, allowed=allowed))
+        if stop:
+            raise InputError(faults)
 
-class _Builder:
-    """Turns parser events into nodes with an explicit stack."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.faults: list[Fault] = []
-        self.anchors: dict[str, Node] = {}
-        self.open_anchors: set[str] = set()
-
-    def build(self, loader: Any) -> Node | None:
-        root: Node | None = None
-        stack: list[Node] = []
-        pending: list[str | None] = []  # the key that waits for its value, per open mapping
-        names: list[str | None] = []
-        documents = 0
-        total = 0
-        while loader.check_event():
-            event = loader.get_event()
-            kind = type(event)
-            if kind is yaml.DocumentStartEvent:
-                documents += 1
-                if documents > 1:
-                    self._stop(event, "a second document in the file", allowed="one document (no second '---')")
-                continue
-            if kind in (yaml.MappingEndEvent, yaml.SequenceEndEvent):
-                node = stack.pop()
-                pending.pop()
-                anchor = names.pop()
-                if anchor is not None:
-                    self.open_anchors.discard(anchor)
-                if stack:
-                    stack[-1].size += node.size
-                continue
-            if kind is yaml.AliasEvent:
-                node = self._alias(event)
-            elif kind is yaml.ScalarEvent:
-                is_key = bool(stack) and isinstance(stack[-1].children, dict) and pending[-1] is None
-                node = self._scalar(loader, event, is_key)
-            elif kind in (yaml.MappingStartEvent, yaml.SequenceStartEvent):
-                self._check_tag(event)
-                mapping = kind is yaml.MappingStartEvent
-                mark = event.start_mark
-                node = Node({} if mapping else [], mark.line + 1, mark.column + 1, children={} if mapping else [])
-                if event.anchor is not None:
-                    self.anchors[event.anchor] = node
-                    self.open_anchors.add(event.anchor)
-            else:
-                continue
-            total += node.size
-            if total > MAX_NODES:
-                self._stop(
-                    event,
-                    "too many values in the file (aliases counted as often as they are used)",
-                    allowed=f"at most {MAX_NODES}",
-                )
+    while loader.check_event():
+        event = loader.get_event()
+        kind = type(event)
+        if kind is yaml.DocumentStartEvent:
+            documents += 1
+            if documents > 1:
+                tell("a second document in the file", allowed="one document (no second '---')")
+        if kind in (yaml.MappingEndEvent, yaml.SequenceEndEvent):
+            node = stack.pop()
+            pending.pop()
             if stack:
-                self._attach(event, stack[-1], pending, node)
+                stack[-1].size += node.size
+        if kind not in (yaml.AliasEvent, yaml.ScalarEvent, yaml.MappingStartEvent, yaml.SequenceStartEvent):
+            continue
+        parent = stack[-1] if stack else None
+        line, column = event.start_mark.line + 1, event.start_mark.column + 1
+        if kind is yaml.AliasEvent:
+            if event.anchor not in anchors:
+                tell(f"alias *{event.anchor} has no anchor before it")
+            node = anchors[event.anchor]
+            if any(node is item for item in stack):
+                tell(f"alias *{event.anchor} stands inside its own anchor")
+        else:
+            if event.tag not in (None, "!", *_CORE_TAGS):
+                allowed = "plain values without a '!' tag"
+                tell("tags are not allowed", got=event.tag, allowed=allowed, stop=False)
+            if kind is yaml.ScalarEvent:
+                data = text = event.value
+                if parent is None or not isinstance(parent.children, dict) or pending[-1] is not None:  # no key
+                    tag = event.tag or loader.resolve(yaml.ScalarNode, text, event.implicit)
+                    try:
+                        data = _convert(tag, text)
+                    except ValueError:
+                        tell("not a value of its tag", as_written(text), tag.rsplit(":", 1)[-1], stop=False)
+                node = Node(data, line, column, text)
+            elif kind is yaml.MappingStartEvent:
+                node = Node({}, line, column, children={})
             else:
-                root = node
-            if kind in (yaml.MappingStartEvent, yaml.SequenceStartEvent):
-                stack.append(node)
-                pending.append(None)
-                names.append(event.anchor)
-                if len(stack) > MAX_DEPTH:
-                    self._stop(event, "nested too deeply", allowed=f"at most {MAX_DEPTH} levels")
-        return root
-
-    def _attach(self, event: Any, parent: Node, pending: list[str | None], node: Node) -> None:
-        if isinstance(parent.children, list):
+                node = Node([], line, column, children=[])
+            if event.anchor is not None:
+                anchors[event.anchor] = node
+        total += node.size
+        if total > MAX_NODES:
+            message = "too many values in the file (aliases counted as often as they are used)"
+            tell(message, allowed=f"at most {MAX_NODES}")
+        is_key = False
+        if parent is None:
+            root = node
+        elif isinstance(parent.children, list):
             parent.children.append(node)
             parent.data.append(node.data)
-        else:
-            assert isinstance(parent.children, dict)
-            key = pending[-1]
-            if key is None:
-                if node.children is not None:
-                    self._stop(event, "a key must be plain text", got=as_written(node.data))
-                pending[-1] = node.text
-                if node.text in parent.keys:
-                    first = parent.keys[node.text][0]
-                    self._add(event, f"key '{node.text}' given twice; the first is in line {first}")
-                else:
-                    parent.keys[node.text] = (node.line, node.column)
-                return
+        elif (key := pending[-1]) is not None and parent.children is not None:
             pending[-1] = None
             parent.children[key] = node
             parent.data[key] = node.data
-        if node.children is None or type(event) is yaml.AliasEvent:
-            parent.size += node.size
-
-    def _alias(self, event: Any) -> Node:
-        node = self.anchors.get(event.anchor)
-        if node is None:
-            self._stop(event, f"alias *{event.anchor} has no anchor before it")
-        if event.anchor in self.open_anchors:
-            self._stop(event, f"alias *{event.anchor} stands inside its own anchor")
-        assert node is not None
-        return node
-
-    def _scalar(self, loader: Any, event: Any, is_key: bool) -> Node:
-        self._check_tag(event)
-        text = event.value
-        if is_key:
-            data: Any = text
         else:
-            tag = event.tag or loader.resolve(yaml.ScalarNode, text, event.implicit)
-            try:
-                data = _convert(tag, text)
-            except ValueError:
-                self._add(event, "not a value of its tag", got=as_written(text), allowed=tag.rsplit(":", 1)[-1])
-                data = text
-        node = Node(data, event.start_mark.line + 1, event.start_mark.column + 1, text)
-        if event.anchor is not None:
-            self.anchors[event.anchor] = node
-        return node
-
-    def _check_tag(self, event: Any) -> None:
-        if event.tag is not None and event.tag not in _CORE_TAGS and event.tag != "!":
-            self._add(event, "tags are not allowed", got=event.tag, allowed="plain values without a '!' tag")
-
-    def _add(self, event: Any, message: str, *, got: str = "", allowed: str = "") -> None:
-        mark = event.start_mark
-        self.faults.append(Fault(self.name, mark.line + 1, mark.column + 1, message, got=got, allowed=allowed))
-
-    def _stop(self, event: Any, message: str, *, got: str = "", allowed: str = "") -> None:
-        self._add(event, message, got=got, allowed=allowed)
-        raise InputError(self.faults)
+            is_key = True
+            if node.children is not None:
+                tell("a key must be plain text", got=as_written(node.data))
+            pending[-1] = node.text
+            if node.text in parent.keys:
+                first = parent.keys[node.text][0]
+                tell(f"key '{node.text}' given twice; the first is in line {first}", stop=False)
+            else:
+                parent.keys[node.text] = (node.line, node.column)
+        if kind in (yaml.MappingStartEvent, yaml.SequenceStartEvent):
+            stack.append(node)
+            pending.append(None)
+            if len(stack) > MAX_DEPTH:
+                tell("nested too deeply", allowed=f"at most {MAX_DEPTH} levels")
+        elif parent is not None and not is_key:
+            parent.size += node.size
+    return root
 
 
 def _convert(tag: str, text: str) -> Any:

@@ -1,24 +1,22 @@
-"""From a document to its model: validated, salvaged where it is faulty, sealed with positions; what checks share."""
+"""From a document to its model: validated, salvaged where it is faulty, sealed with positions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
-from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.expressions import Lag, compile_expression
-from missionsim.glossary import COLUMNS, column_of
+from missionsim.errors import Fault, did_you_mean
 from missionsim.inputs.base import FileModel, Model
-from missionsim.inputs.faults import exists, file_path, follows_from_entries, to_faults
 from missionsim.inputs.parameter import Parameter
-from missionsim.inputs.robot import RobotSpec
-from missionsim.inputs.tree import Document, as_written
+from missionsim.inputs.tree import Document, Numbered, Where, as_written
 
-Path_ = tuple[str | int, ...]
+Loaded = TypeVar("Loaded", bound=FileModel)
+_ROUNDS = 30
 _STAND_INS: tuple[Any, ...] = (
     Parameter(1.0), "x", 1, {}, [{"wait": {"duration": 1}}], {"x": {"capacity": 1}}, {"x": {}},
     [{"battery": "x", "power": 1}],
@@ -26,103 +24,50 @@ _STAND_INS: tuple[Any, ...] = (
 """Tried one after the other where a required value is faulty: a number, a name, a count, and the required blocks."""
 
 
-class _Numbered(list[Any]):
-    """A list that has lost items and remembers the places of the others."""
+def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> Loaded | None:
+    """Validate; after faults, try again without the faulty parts, so that the other checks can still speak.
 
-    numbers: list[int]
-
-
-class Faulty:
-    """Paths of a file that were told to be faulty."""
-
-    def __init__(self) -> None:
-        self._at: set[Path_] = set()
-        self._above: set[Path_] = set()
-
-    def add(self, paths: Iterable[Path_]) -> None:
-        """More of them."""
-        for path in paths:
-            self._at.add(path)
-            self._above.update(path[:length] for length in range(len(path) + 1))
-
-    def __bool__(self) -> bool:
-        return bool(self._at)
-
-    def under(self, path: Path_) -> bool:
-        """Whether a path is, or lies below, a faulty one."""
-        return any(path[:length] in self._at for length in range(len(path) + 1))
-
-    def related(self, path: Path_) -> bool:
-        """Whether a path is, lies below or above a faulty one."""
-        return path in self._above or self.under(path)
-
-
-@dataclass(slots=True)
-class View(Document):
-    """A document with parts left out; paths are translated to those of the file."""
-
-    shape: Any = None
-    faulty: Faulty = field(default_factory=Faulty)
-
-    def original(self, path: Sequence[str | int]) -> Path_:
-        """The path in the file of a path in what is left."""
-        data = self.shape
-        result: list[str | int] = []
-        for item in path:
-            if isinstance(data, _Numbered) and isinstance(item, int) and item < len(data):
-                result.append(data.numbers[item])
-                data = data[item]
-                continue
-            result.append(item)
-            try:
-                data = data[item]
-            except (KeyError, IndexError, TypeError):
-                data = None
-        return tuple(result)
-
-
-def view_of(document: Document, shape: object, faulty: Faulty) -> View:
-    """`document` as what is left of it, `shape`."""
-    of_file = document.file, document.data, document.root, document.sha256, document.overrides, document.prefix
-    return View(*of_file, shape, faulty)
-
-
-def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> object:
-    """What is left after taking out or replacing what `problem` names; None where nothing can be done. `view`: what was
-    validated. `tried`: how many stand-ins were tried at a path (of the file); changed."""
-    edits: _Edits = {}
-    drops: list[Path_] = []
-    for error in problem.errors(include_url=False):
-        if follows_from_entries(error):
-            continue
-        base = file_path(error["loc"], view.shape)
-        entries = error["ctx"]["entries"] if error["type"] == "quantity" else [{"at": ()}]
-        for path in [(*base, *entry["at"]) for entry in entries]:
-            if not path or path == ("kind",):
+    The model is perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None
+    where nothing could be made of the file.
+    """
+    context = {"folder": Path(document.file).parent}
+    view = document
+    tried: dict[Where, int] = {}
+    for _ in range(_ROUNDS):
+        shape = document.data if view is document else view.shape
+        try:
+            result = model.model_validate(shape, context=context)
+        except ValidationError as problem:
+            told = [found for error in problem.errors(include_url=False) for found in _told(error, view, model, shape)]
+            faults += [fault for path, fault, _ in told if not view.is_faulty(path, below=True)]
+            edits: _Edits = {}
+            drops: list[Where] = []
+            faulty = dict(view.faulty)
+            for path, _, word in told:
+                if not path or path == ("kind",):
+                    return None
+                at, there = view.original(path), _within(shape, path)
+                count = tried.get(at, 0)
+                if word:
+                    _note(edits, path, _PUT, word)
+                elif there == path and not count:
+                    drops.append(path)
+                elif count < len(_STAND_INS) and len(there) >= len(path) - 1:
+                    _note(edits, path, _PUT, _STAND_INS[count])
+                    tried[at] = count + 1
+                else:
+                    drops.append(there[: len(path) - 1])
+                faulty |= {at[:n]: faulty.get(at[:n], False) for n in range(len(at))} | {at: True}
+            if () in drops:
                 return None
-            key = view.original(path)
-            count = tried.get(key, 0)
-            there = exists(view.shape, path)
-            if error["type"] == "literal_error":
-                _note(edits, path, _PUT, str(error["ctx"]["expected"]).split("'")[1])
-            elif there and not count:
-                drops.append(path)
-            elif count < len(_STAND_INS) and exists(view.shape, path[:-1]):
-                _note(edits, path, _PUT, _STAND_INS[count])
-                tried[key] = count + 1
-            else:
-                drops.append(_existing(view.shape, path[:-1]))
-    if () in drops:
-        return None
-    for path in drops:
-        _note(edits, path, _DROP, True)
-    return _edited(view.shape, edits)
-
-
-def _existing(data: Any, path: Path_) -> Path_:
-    while path and not exists(data, path):
-        path = path[:-1]
-    return path
+            for path in drops:
+                _note(edits, path, _DROP, True)
+            view = replace(document, shape=_edited(shape, edits), faulty=faulty)
+        else:
+            vars(result).update(document=view, whole=view is document)
+            _seal(result, view, ())
+            return result
+    return None
 
 
 _Edits = dict[Any, Any]
@@ -130,7 +75,7 @@ _Edits = dict[Any, Any]
 _PUT, _DROP = object(), object()
 
 
-def _note(edits: _Edits, path: Sequence[str | int], what: object, value: Any) -> None:
+def _note(edits: _Edits, path: Where, what: object, value: Any) -> None:
     for item in path:
         edits = edits.setdefault(item, {})
     edits[what] = value
@@ -144,66 +89,34 @@ def _edited(data: Any, edits: _Edits) -> Any:
         return kept | {key: _edited(data.get(key), more) for key, more in below.items() if _DROP not in more}
     if isinstance(data, list) and below:
         left = [index for index in range(len(data)) if _DROP not in below.get(index, ())]
-        result = _Numbered(_edited(data[index], below.get(index, {})) for index in left)
-        result.numbers = [data.numbers[index] for index in left] if isinstance(data, _Numbered) else left
+        result = Numbered(_edited(data[index], below.get(index, {})) for index in left)
+        result.numbers = [data.numbers[index] for index in left] if isinstance(data, Numbered) else left
         return result
     return data
 
 
-Loaded = TypeVar("Loaded", bound=FileModel)
-_ROUNDS = 30
+def _within(data: Any, path: Where) -> Where:
+    """As much of a path as plain data has."""
+    for depth, item in enumerate(path):
+        inside = isinstance(data, (list, tuple)) and isinstance(item, int) and item < len(data)
+        if not inside and not (isinstance(data, dict) and item in data):
+            return path[:depth]
+        data = data[item]
+    return path
 
 
-def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> Loaded | None:
-    """Validate; after faults, try again without the faulty parts, so that the other checks can still speak.
-
-    The model is perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None
-    where nothing could be made of the file.
-    """
-    context = {"folder": Path(document.file).parent}
-    shape = document.data
-    faulty = Faulty()
-    tried: dict[Path_, int] = {}
-    for _ in range(_ROUNDS):
-        view = view_of(document, shape, faulty) if faulty else document
-        try:
-            result = model.model_validate(shape, context=context)
-        except ValidationError as problem:
-            located = to_faults(problem, view, model, shape)
-            places = [view.original(path) for path, _ in located]
-            faults += [fault for at, (_, fault) in zip(places, located, strict=True) if not faulty.related(at)]
-            shape = repaired(view_of(document, shape, faulty), problem, tried)
-            faulty.add(places)
-            if shape is None:
-                return None
-        else:
-            seal(result, view)
-            result._whole = not faulty
-            return result
-    return None
-
-
-def seal(model: FileModel, document: Document) -> None:
+def _seal(value: Any, document: Document, path: Where) -> None:
     """Give each object and number of a fresh model its path and line in the file."""
-    model._file = document.file
-    model._sha256 = document.sha256
-    model._document = document
-    _seal(model, document, ())
-
-
-def _seal(value: Any, document: Document, path: tuple[str | int, ...]) -> None:
     if isinstance(value, Model):
-        body = path
         kind = getattr(value, "kind", None)
         if len(path) >= 2 and isinstance(path[-1], int) and kind is not None:
             here = document.node(path)
             if isinstance(here.children, dict) and "kind" not in here.children and kind in here.children:
-                body = (*path, kind)
-        value._line = document.position(body)[0]
-        value._where = body
+                path = (*path, kind)
+        vars(value).update(line=document.position(path)[0], where=path)
         fields = type(value).model_fields
         for name in value.model_fields_set:
-            _seal(getattr(value, name), document, (*body, fields[name].alias or name))
+            _seal(getattr(value, name), document, (*path, fields[name].alias or name))
     elif isinstance(value, Parameter):
         object.__setattr__(value, "path", ".".join(map(str, path)))
         object.__setattr__(value, "line", document.position(path)[0])
@@ -212,158 +125,120 @@ def _seal(value: Any, document: Document, path: tuple[str | int, ...]) -> None:
             _seal(item, document, (*path, key))
 
 
-Where = Sequence[str | int]
-_SHOWN = 24
-
-DERIVED = ("moving_time_s", "moving", "starts", "mass_kg", "drive_w", "load_w")
-"""Covariates that a run or a log adds to the glossary's columns."""
-
-
-class Checker:
-    """Collects faults of one document."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self.faults: list[Fault] = []
-
-    def add(
-        self,
-        where: Where,
-        message: str,
-        got: str = "",
-        allowed: str = "",
-        hint: str = "",
-        *,
-        key: bool = False,
-        warning: bool = False,
-    ) -> None:
-        """One fault at a path of the file, unless that place was told to be faulty already."""
-        if not self.faulty(where):
-            told = {"got": got, "allowed": allowed, "hint": hint, "severity": "warning" if warning else "error"}
-            self.faults.append(self.document.fault(where, message, key=key, **told))
-
-    def faulty(self, where: Where) -> bool:
-        """Whether a fault was told at this path or above it."""
-        faulty: Faulty | None = getattr(self.document, "faulty", None)
-        return faulty is not None and faulty.under(self.document.original(where))
-
-    def touched(self, *where: str | int) -> bool:
-        """Whether a fault was told at, above or below this path."""
-        faulty: Faulty | None = getattr(self.document, "faulty", None)
-        return faulty is not None and faulty.related(self.document.original(where))
-
-    def known(
-        self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False, message: str = ""
-    ) -> bool:
-        """Whether `name` is one of `names`; a fault with did-you-mean where it is not."""
-        options = list(names)
-        if name in options:
-            return True
-        shown = ", ".join(options[:_SHOWN]) + (f" and {len(options) - _SHOWN} more" if len(options) > _SHOWN else "")
-        allowed, hint = shown or f"there is no {what} here", did_you_mean(name, options)
-        self.add(where, message or f"no {what} '{name}'", as_written(name), allowed, hint, key=key)
-        return False
-
-    def keys(self, where: Where, given: object, names: Iterable[str], what: str) -> None:
-        """Faults for the keys of a mapping that are none of `names`."""
-        for name in given if isinstance(given, Mapping) else ():
-            self.known((*where, name), name, names, what, key=True)
-
-    def units(self, where: Where, name: str, count: int, robot: RobotSpec, least: int = 0, message: str = "") -> bool:
-        """Whether a robot has a component, and as many units of it."""
-        known = Checker(robot.document).raw_keys("components")
-        key = where[-1] == name
-        if not self.known(where, name, known, "component", key=key, message=message):
-            return False
-        spec = robot.components.get(name)
-        if spec is not None and count > spec.units:
-            at = where if key else (*where[:-1], "units")
-            self.add(at, f"more units of '{name}' than the robot has", str(count), f"{least} to {spec.units}")
-            return False
-        return spec is not None
-
-    def stands_still(self, where: Where, scheme: str, robot: RobotSpec, got: str, *, key: bool = False) -> None:
-        """The fault of a control scheme that drives nowhere, where one that moves is needed."""
-        moves = ", ".join(name for name, item in robot.schemes.items() if item.motion)
-        self.add(where, f"control scheme '{scheme}' stands still", got, moves, key=key)
-
-    def given(self, where: Where, key: str) -> bool:
-        """Whether a key stands in the file, also with a value that is at fault."""
-        children = self.document.node(where).children
-        return isinstance(children, dict) and key in children
-
-    def raw_keys(self, *where: str | int) -> list[str]:
-        """Keys of a mapping as the file has them, also those whose values are at fault."""
-        data = self.document.data
-        for item in where:
-            if isinstance(data, dict) and item in data:
-                data = data[item]
-            else:
-                return []
-        return [str(key) for key in data] if isinstance(data, dict) else []
-
-    def formulas(
-        self,
-        texts: Mapping[tuple[str | int, ...], str],
-        own: Iterable[str],
-        times: Mapping[str, Parameter] | None = None,
-    ) -> None:
-        """Formulas, by their paths, that can be read, name what there is and together use all their parameters.
-
-        `times`: parameters that may be time constants of lags; no lag is allowed where there can be none.
-        """
-        parameters = list(own)
-        used: set[str] = set()
-        for where, text in texts.items():
-            names = self._names(where, text, parameters, times)
-            if names is None:
-                return
-            used |= names
-        where, text = next(iter(texts.items()))
-        for name in parameters:
-            if name not in used:
-                self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
-
-    def _names(
-        self, where: Where, text: str, parameters: list[str], times: Mapping[str, Parameter] | None
-    ) -> frozenset[str] | None:
-        """Names that a formula reads, None where it cannot be read. Names of further log columns are allowed; one that
-        is nearly a known name gets a warning."""
-        from missionsim.effects.base_terms import ALIASES
-
-        try:
-            expression = compile_expression(text, **self.document.place(where)._asdict())
-        except InputError as problem:
-            self.faults.extend(problem.faults)
-            return None
-        self.faults += [fault for lag in expression.lags for fault in _lag_faults(lag, times)]
-        known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
-        for name in sorted(expression.names):
-            if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
-                continue
-            hint = did_you_mean(name, known, 0.8)
-            if hint:
-                message = f"formula names '{name}', which is no column of the glossary"
-                allowed = "a parameter, a glossary column, or a further column of your logs"
-                self.add(where, message, text[:80], allowed, hint, warning=True)
-        return expression.names
+_LIMITS = {
+    "greater_than": ("more than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+_WANTED = {
+    "text": "string_type",
+    "a whole number": "int_type int_from_float int_parsing",
+    "a number": "float_type float_parsing",
+    "true or false": "bool_type bool_parsing",
+    "a mapping": "dict_type model_type model_attributes_type mapping_type",
+    "a list": "tuple_type list_type",
+    "a finite number": "finite_number",
+}
+_KINDS = {kind: words for words, kinds in _WANTED.items() for kind in kinds.split()}
 
 
-def _lag_faults(lag: Lag, times: Mapping[str, Parameter] | None) -> Iterator[Fault]:
-    """What is wrong with the lag of a formula beside its parameters."""
-    if times is None:
-        yield lag.place.fault("a lag has no place here", got=lag.text, allowed="lag(x, tau) in the power of an effect")
-        return
-    if lag.names <= times.keys():
-        told = "a lag of columns: lag(abs(speed_m_s), 8)"
-        yield lag.place.fault("lag of something that is constant", got=lag.text, allowed=told)
-    if not lag.parameter:
-        return
-    told, tau = f"a number in s, or a parameter {lag.parameter} with a unit of time", times.get(lag.parameter)
-    if tau is None:
-        yield lag.place.fault(f"the time constant '{lag.parameter}' is no parameter", got=lag.text, allowed=told)
-    elif tau.unit not in ("", "1", "s"):  # a plain number is in s
-        yield lag.place.fault(f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit, allowed=told)
-    elif not tau.value > 0.0:
-        got, allowed = f"{tau.value:g} s", "more than 0 s"
-        yield lag.place.fault(f"impossible time constant '{lag.parameter}'", got=got, allowed=allowed)
+def _told(
+    error: ErrorDetails, document: Document, model: type[BaseModel], shape: object
+) -> list[tuple[Where, Fault, str]]:
+    """What one error of pydantic says: path, fault, and the word that would be right where only few words are.
+
+    `document`: where the data came from; `model`: the file's model, for the keys that are allowed; `shape`: the data
+    that was validated.
+    """
+    kind, loc, raw = error["type"], error["loc"], error.get("input")
+    context: dict[str, Any] = error.get("ctx", {})
+    path = _file_path(loc, shape, missing=kind == "missing")
+    if kind == "quantity":
+        found = []
+        for entry in context["entries"]:
+            at, told = (*path, *entry["at"]), {key: entry[key] for key in ("message", "got", "allowed", "hint")}
+            unknown = told["message"].startswith(("unknown key", "unknown kind"))
+            found.append((at, document.fault(at, **told, key=unknown), ""))
+        return found
+    if kind == "too_short" and isinstance(raw, (list, tuple, dict)) and len(raw) >= context["min_length"]:
+        return []  # only for entries that are at fault, which are told
+    at, got, allowed, hint, key, word = path, as_written(raw), "", "", False, ""
+    if kind in ("missing", "too_short") and path[:1] == ("components",) and loc[-1] == "loads":
+        at = path[:2] if kind == "missing" else path
+        message, allowed = f"component '{path[1]}' is fed by no battery", "loads: [{battery: …, power: …}]"
+    elif kind == "extra_forbidden":
+        known, got, key = _allowed_keys(model, loc[:-1]), str(path[-1]), True
+        spelled = got.replace("-", "_").replace(" ", "_").lower()
+        hint = spelled if spelled in known else did_you_mean(got, known)
+        message, allowed = f"unknown key '{got}'", ", ".join(known)
+    elif kind == "missing":
+        at = path if _within(shape, path) == path else path[:-1]
+        message, allowed = f"'{loc[-1]}' is missing", f"{loc[-1]}: …"
+    elif kind in _LIMITS:
+        more, limit = _LIMITS[kind]
+        message, allowed = "impossible value", f"{more} {context[limit]:g}"
+    elif kind in ("literal_error", "enum"):
+        options = [item.strip("'") for item in str(context["expected"]).replace(" or ", ", ").split(", ")]
+        message, allowed, word = "not one of the allowed words", ", ".join(options), options[0]
+        hint = did_you_mean(raw, options) if isinstance(raw, str) else ""
+    elif kind in ("union_tag_invalid", "union_tag_not_found"):
+        options = [item.strip("'") for item in str(context.get("expected_tags") or "").split(", ") if item]
+        tag = context.get("tag", "")
+        at, message, got = (*path, "kind"), "unknown kind" if tag else "'kind' is missing", as_written(tag or raw)
+        allowed, hint = ", ".join(options) or "kind: …", did_you_mean(str(tag), options)
+    elif kind in _KINDS:
+        message, allowed = f"must be {_KINDS[kind]}", _KINDS[kind]
+        if allowed == "a mapping" and (keys := _allowed_keys(model, loc)):
+            allowed += f" with {', '.join(keys)}"
+    elif kind == "string_pattern_mismatch":
+        letters = "lower-case letters, digits and _, beginning with a letter"
+        message, allowed, key = "not a name that can be used here", context["pattern"], True
+        allowed = letters if "a-z0-9" in allowed else allowed
+    elif kind in ("too_short", "too_long"):
+        few = kind == "too_short"
+        message = "too few entries" if few else "too many entries"
+        allowed = f"at least {context['min_length']}" if few else f"at most {context['max_length']}"
+    elif kind in ("string_too_short", "string_too_long"):
+        message = "text too short" if "short" in kind else "text too long"
+        allowed = f"{context.get('min_length', context.get('max_length'))} characters"
+    else:
+        message = error["msg"][:1].lower() + error["msg"][1:]
+    return [(path, document.fault(at, message, got=got, allowed=allowed, hint=hint, key=key), word)]
+
+
+def _file_path(loc: Sequence[str | int], data: object, *, missing: bool) -> Where:
+    """pydantic's location without its union tags and key marks: the path of the value, or of a key that is missing."""
+    path: Where = ()
+    here: Any = data
+    for index, item in enumerate(loc):
+        if _within(here, (item,)):
+            path, here = (*path, item), here[item]
+        elif missing and isinstance(here, dict) and index == len(loc) - 1:
+            path = (*path, item)
+    return path
+
+
+def _allowed_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
+    """Keys of the models that may stand at `loc` below `model`."""
+    fields = [(kind, *field) for kind in _models_at(model, loc) for field in kind.model_fields.items()]
+    return list(dict.fromkeys(f.alias or name for kind, name, f in fields if name != "kind" or kind is model))
+
+
+def _models_at(kind: Any, loc: Sequence[str | int]) -> list[type[BaseModel]]:
+    below: list[tuple[Any, Sequence[str | int]]]
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if not loc:
+            return [kind]
+        fields, item = kind.model_fields, loc[0]
+        # the hints, for a repeat block names its segments in advance
+        below = [(get_type_hints(kind)[name], loc[1:]) for name, field in fields.items() if item in (name, field.alias)]
+        if not below and "kind" in fields and item in get_args(fields["kind"].annotation):  # a union tag
+            below = [(kind, loc[1:])]
+    elif loc and get_origin(kind) is dict:
+        below = [(get_args(kind)[1], loc[1:])]
+    elif loc and get_origin(kind) in (tuple, list) and isinstance(loc[0], int):
+        below = [(inner, loc[1:]) for inner in get_args(kind)]
+    else:
+        below = [(inner, loc) for inner in get_args(kind)]
+    return [found for inner, rest in below for found in _models_at(inner, rest)]

@@ -42,8 +42,7 @@ def mission_of(task: TaskSpec) -> MissionSpec:
         segments=(wait,),
         behaviour=MissionBehaviour.model_construct(),
     )
-    mission._robot, mission._environment = task.robot, task.environment
-    mission._file = str(task.path)
+    vars(mission).update(robot=task.robot, environment=task.environment, document=task.document)
     return mission
 
 

@@ -116,8 +116,7 @@ def _more(plan: Answer, probability: float) -> Array:
     names = site.physics.names
     # as if batteries were bottomless: what is drawn, not when it ends
     ample = tuple((f"robot.batteries.{name}.capacity", "100000 Wh") for name in names)
-    task = site.task.model_copy()
-    task._elsewhere = (*site.task.elsewhere, *ample)
+    task = site.task.model_copy(update={"overrides": (*site.task.overrides, *ample)})
     columns = draws_of(replace(plan, site=replace(site, task=task)), SEED)
     each = 1.0 - (1.0 - probability) / len(names)
     used = [float(np.nanquantile(columns[f"energy_{name}_wh"], each)) for name in names]

@@ -226,8 +226,7 @@ def _opened(site: Site) -> Iterator[dict[str, Any]]:
     shut |= {name: f"environment.places.{name}.closed" for name, place in environment.places.items() if place.closed}
     for name, change in shut.items():
         kept = {key: edge for key, edge in task.edges.items() if key != name}
-        other = task.model_copy(update={"edges": kept})
-        other._environment = environment.opened(name)
+        other = task.model_copy(update={"edges": kept, "environment": environment.opened(name)})
         if not _shut_off(other) and solve_site(make_site(other)).feasible:
             what = "place" if name in environment.places else "edge"
             yield _change(change, False, "", f"{what} '{name}' open (--set {change}=false)", 0.4)
