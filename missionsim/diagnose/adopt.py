@@ -13,7 +13,7 @@ from missionsim.diagnose.examine import Examined, examine
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject
-from missionsim.diagnose.waterfall import worse_of
+from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
@@ -76,7 +76,7 @@ class Adopted:
     @property
     def worse(self) -> str:
         """In words, that the file predicts held-out runs worse; empty where it does not."""
-        return "" if self.heldout is None else worse_of(self.heldout)
+        return "" if self.heldout is None else worse_note(bars_of(self.heldout))
 
 
 def adopt(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
-from missionsim.diagnose.waterfall import best_before, clearly_better, noise_floor, unseen_note, worse_note
+from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
@@ -31,17 +31,6 @@ CLOCK_MOVES_S = 0.05
 """Change of delay or lag from which the fits are made anew."""
 
 Ask = Callable[[Finding, BatteryDiagnosis], bool]
-
-
-@dataclass(frozen=True)
-class Step:
-    """One bar of the waterfall: errors on the held-out runs (on the fitted ones where none are held out)."""
-
-    name: str
-    """``before``, ``recalibrated``, ``+ <effect>`` or ``noise floor``."""
-    energy_error_pct: float
-    """Mean over runs of the absolute energy error."""
-    power_rmse_w: float
 
 
 @dataclass(frozen=True)
@@ -76,7 +65,7 @@ class Improved:
             "stopped": self.stopped,
             "on_heldout_runs": self.heldout,
             "untested": {run: list(columns) for run, columns in self.untested.items()},
-            "steps": [asdict(step) for step in self.steps],
+            "steps": [step._asdict() for step in self.steps],
             "worse": self.worse or None,
             "first": self.first.to_json(),
             "last": self.last.to_json(),
@@ -94,19 +83,18 @@ class Improved:
         the command alone where the file as it was given is.
         """
         before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
-        far = not self.added and clearly_better(recalibrated, before)
+        far = "" if self.added else base_note(before, recalibrated)
         if not (self.worse or far):
             return "", ""
         best = best_before(self.steps[:-1]) if self.worse else 1
         if best == 0:
             return "The robot file as it was predicts these runs best: leave it as it is.", ""
+        if self.base_alone and far:
+            return f"No effect was added. {far} The file that is written has that base.", ""
         given = f"--robot {shlex.quote(robot)} {' '.join(shlex.quote(str(log)) for log in logs)}"
         out = f"--out {shlex.quote(Path(robot).stem + '_better.yaml')}"
         if far:
-            note = base_note(before, recalibrated)
-            if self.base_alone:
-                return f"No effect was added. {note} The file that is written has that base.", ""
-            return f"Nothing was added; the file is as it was. {note}", f"missionsim calibrate {given} {out}"
+            return f"Nothing was added; the file is as it was. {far}", f"missionsim calibrate {given} {out}"
         if best == 1:
             told = "The same file with its base fitted anew and nothing added predicts these runs better."
             return told, f"missionsim calibrate {given} {out}"

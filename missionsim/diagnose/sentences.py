@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from missionsim.diagnose.waterfall import Errors, Told, clearly_better, worse_of
+from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import QUANTITY, Proposal
 
@@ -87,8 +87,11 @@ def law(proposal: Proposal) -> str:
     if curve is None:
         return f"{subject} costs {share} that the model does not know"
     size = min(range(len(curve.x)), key=lambda i: abs(curve.x[i] - curve.usual))
-    at = [_at(curve.variable, curve.x[size])]
-    at += [_at(name, value) for name, value in curve.at.items() if not name.startswith("on_")]
+    held = {name: value for name, value in curve.at.items() if not name.startswith("on_")}
+    at = []
+    for name, value in [(curve.variable, curve.x[size]), *held.items()]:
+        word, unit = QUANTITY.get(name, (name, ""))
+        at.append(f"{word} {value if isinstance(value, str) else f'{value:.2g}'} {unit}".strip())
     verb = "gives back" if curve.watts[size] < 0.0 else "costs"
     amount = f"{power(abs(curve.watts[size]))} ({', '.join(at)})"
     return f"{subject} {verb} about {amount} that the model does not know: {share}"
@@ -98,46 +101,42 @@ def _law_subject(formula: str, variables: Sequence[str]) -> str:
     """A law in plain words, from the quantities in it and the sides of them that it names."""
     parts: list[str] = []
     beside: list[str] = []
-    has = set(variables)
     standing = "(1 - (abs(speed_m_s)" in formula
     slow = "(abs(speed_m_s) <=" in formula
-    if "yaw_rate_rad_s" in has and not standing:
+    ramp = "braking" if "max(-accel" in formula else "speeding up" if "max(accel" in formula else "changing speed"
+    if "yaw_rate_rad_s" in variables and not standing:
         parts.append("turning on the spot" if slow else "turning")
-    if "accel_m_s2" in has:
-        parts.append(
-            "braking" if "max(-accel" in formula else "speeding up" if "max(accel" in formula else "changing speed"
-        )
-    if "slope_rad" in has:
-        word = (
-            "descending" if "max(-slope" in formula else "climbing" if "max(slope" in formula else "driving on slopes"
-        )
+    if "accel_m_s2" in variables:
+        parts.append(ramp)
+    if "slope_rad" in variables:
+        up = "climbing" if "max(slope" in formula else "driving on slopes"
+        word = "descending" if "max(-slope" in formula else up
         (beside if parts else parts).append(f"while {word}" if parts else word)
     for name in variables:
-        if name in ("yaw_rate_rad_s", "accel_m_s2", "slope_rad", "speed_m_s"):
-            continue
-        (beside if parts else parts).append(_aspect(name, formula, bool(parts)))
-    if "speed_m_s" in has and not slow:
+        if name not in ("yaw_rate_rad_s", "accel_m_s2", "slope_rad", "speed_m_s"):
+            (beside if parts else parts).append(_aspect(name, formula, bool(parts)))
+    if "speed_m_s" in variables and not slow:
         word = "standing still" if standing else "driving"
-        if parts and not any(p in ("braking", "speeding up", "changing speed") for p in parts):
-            beside.insert(0, f"while {word}")
-        elif not parts:
+        if not parts:
             parts.append(word)
-    text = " ".join([parts[0] if parts else "something", *parts[1:], *beside])
+        elif ramp not in parts:
+            beside.insert(0, f"while {word}")
+    text = " ".join([*(parts or ["something"]), *beside])
     return text[:1].upper() + text[1:]
 
 
 def _aspect(name: str, formula: str, beside: bool) -> str:
+    levels = re.findall(rf"\({name} == '([^']*)'\)", formula)
     if name.startswith("temp"):
-        bound = re.search(rf"max\(([\d.]+) - {name}", formula)
-        above = re.search(rf"max\({name} - ([\d.]+)", formula)
-        word = (
-            f"cold (below {bound.group(1)} °C)" if bound else f"warmth (above {above.group(1)} °C)" if above else "heat"
-        )
+        word = "heat"
+        if bound := re.search(rf"max\(([\d.]+) - {name}", formula):
+            word = f"cold (below {bound.group(1)} °C)"
+        elif bound := re.search(rf"max\({name} - ([\d.]+)", formula):
+            word = f"warmth (above {bound.group(1)} °C)"
         return f"in the {word}" if beside else word
     if name.startswith("on_"):
         part = name[3:].replace("_", " ")
         return f"while the {part} is on" if beside else f"the {part}"
-    levels = re.findall(rf"\({name} == '([^']*)'\)", formula)
     if len(levels) > 1:
         return f"on {_listed(levels)}, each its own measure," if name == "surface" else f"by {name}"
     if levels:
@@ -149,55 +148,45 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     return f"with {word}" if beside else word
 
 
-def _at(name: str, value: float | str) -> str:
-    word, unit = QUANTITY.get(name, (name, ""))
-    number = value if isinstance(value, str) else f"{value:.2g}"
-    return f"{word} {number} {unit}".strip()
-
-
 def sure(battery: BatteryDiagnosis) -> str:
     """How sure the first answer is, and what speaks for it."""
-    if battery.effects and not battery.effects[0].indistinguishable_from:
-        first = battery.effects[0]
-        odds = f"chance would do this in {_odds(first.p_value)}"
-        if worse(battery):
-            return (
-                f"That something is missing is sure ({odds}); that it is {first.effect} is not: see the runs not used."
-            )
-        if first.remark:
-            return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {first.remark}."
+    first = next(iter(battery.effects), None)
+    if first is not None and first.indistinguishable_from:
+        return "Not sure which: these data cannot tell these effects apart."
+    if first is not None:
+        p = first.p_value
+        odds = (
+            f"one case in {10 ** round(math.log10(1.0 / p)):,.0f}" if p >= 1e-6 else "less than one case in a million"
+        )
+        odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
+        if doubt := "see the runs not used" if worse(battery) else first.remark:
+            return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
         runs = "each run shows it too" if "repeated" in first.level else "runs alone are too few to show it"
         return f"Sure: {odds}; {runs}."
-    if battery.effects:
-        return "Not sure which: these data cannot tell these effects apart."
-    if battery.proposed_laws:
-        one = battery.proposed_laws[0]
-        certain = _listed([QUANTITY.get(n, (n, ""))[0] for n in one.certain])
-        told = f"It depends on {certain}" if certain else "On what it depends is open"
-        if one.possible:
-            told += f", perhaps on {_listed([QUANTITY.get(n, (n, ''))[0] for n in one.possible])}"
-        many = f"; {len(one.laws)} forms fit alike, so trust the curve and its band, not one formula"
-        only = "; its form is an approximation within the band"
-        return (
-            f"{told}{many if len(one.laws) > 1 else only}. {one.better} of {one.runs} left-out runs in which it acts "
-            f"are predicted better; {one.tried:,} forms were tried, and chance is charged for all."
-        )
-    return ""
+    if not battery.proposed_laws:
+        return ""
+    one = battery.proposed_laws[0]
+    certain, possible = (_listed([QUANTITY.get(n, (n, ""))[0] for n in names]) for names in (one.certain, one.possible))
+    told = f"It depends on {certain}" if certain else "On what it depends is open"
+    told += f", perhaps on {possible}" if possible else ""
+    form = "its form is an approximation within the band"
+    if len(one.laws) > 1:
+        form = f"{len(one.laws)} forms fit alike, so trust the curve and its band, not one formula"
+    return (
+        f"{told}; {form}. {one.better} of {one.runs} left-out runs in which it acts are predicted better; "
+        f"{one.tried:,} forms were tried, and chance is charged for all."
+    )
 
 
 def worse(battery: BatteryDiagnosis) -> str:
     """In words, that held-out runs are predicted worse with what was found; else empty."""
-    return worse_of(battery.heldout) if battery.heldout is not None and battery.effects else ""
+    return worse_note(bars_of(battery.heldout)) if battery.heldout is not None and battery.effects else ""
 
 
-def _odds(p: float) -> str:
-    if p <= 0.0 or p < 1e-6:
-        return "less than one case in a million"
-    return f"one case in {10 ** round(math.log10(1.0 / p)):,.0f}" if p < 0.1 else "many cases"
-
-
-def base_note(before: Errors, recalibrated: Errors) -> str:
-    """In words, that the base of a file is off, and what fitting it anew does."""
+def base_note(before: Step, recalibrated: Step) -> str:
+    """In words, that the base of a file is clearly off, and what fitting it anew does; else empty."""
+    if not clearly_better(recalibrated, before):
+        return ""
     return (
         f"The base of the robot file is off: fitted anew, the energy error falls from {before.energy_error_pct:.2f} to "
         f"{recalibrated.energy_error_pct:.2f} %, the power error from {before.power_rmse_w:.3g} to "
@@ -205,65 +194,48 @@ def base_note(before: Errors, recalibrated: Errors) -> str:
     )
 
 
-def _base_off(battery: BatteryDiagnosis) -> tuple[Told, Told] | None:
-    """Errors before and recalibrated, where nothing was found and the base alone is clearly off."""
-    held = battery.heldout
-    if held is None or battery.effects or battery.proposed_laws:
-        return None
-    before, after = (Told(held.energy_error_pct[k], held.power_rmse_w[k]) for k in ("nominal", "recalibrated"))
-    return (before, after) if clearly_better(after, before) else None
-
-
 def errors(battery: BatteryDiagnosis) -> str:
     """What the error on runs that were not used was and is."""
-    held = battery.heldout
-    if held is None:
-        if battery.proposed_laws:
-            before, after = battery.proposed_laws[0].left_out_rmse_w
-            if math.isfinite(after):
-                return f"On runs left out one at a time, the power error falls from {power(before)} to {power(after)}."
-        return ""
-    before, after = held.power_rmse_w["nominal"], held.power_rmse_w["with_effects"]
-    energy = (held.energy_error_pct["nominal"], held.energy_error_pct["with_effects"])
-    if battery.proposed_laws and battery.proposed_laws[0].heldout_rmse_w is not None:
-        after = battery.proposed_laws[0].heldout_rmse_w[1]
-        if battery.proposed_laws[0].heldout_energy_pct is not None:
-            energy = (energy[0], battery.proposed_laws[0].heldout_energy_pct[1])
-    if not battery.effects and not battery.proposed_laws:
-        return base_note(*far) if (far := _base_off(battery)) else ""
-    alone = held.power_rmse_w["recalibrated"]
-    told = f"On runs not used the power error was {power(before)} ({power(alone)} recalibrated) and is"
-    if after > before:
-        told = f"On runs not used the power error WAS ONLY {power(before)} ({power(alone)} recalibrated) and is"
-    elif after > alone:
-        told = (
-            f"On runs not used the power error was {power(before)}, is {power(alone)} with the base alone fitted anew"
-        )
-        return f"{told}, and NO LESS, {power(after)}, with it (energy {energy[0]:.2f} → {energy[1]:.2f} %)."
-    return f"{told} {power(after)} with it (energy {energy[0]:.2f} → {energy[1]:.2f} %)."
+    law = next(iter(battery.proposed_laws), None)
+    if battery.heldout is None:
+        if law is None or not math.isfinite(law.left_out_rmse_w[1]):
+            return ""
+        before, after = map(power, law.left_out_rmse_w)
+        return f"On runs left out one at a time, the power error falls from {before} to {after}."
+    given, base, with_it = bars_of(battery.heldout)
+    if law is None and not battery.effects:
+        return base_note(given, base)
+    energy_pct, rmse_w = with_it.energy_error_pct, with_it.power_rmse_w
+    if law is not None and law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
+        energy_pct, rmse_w = law.heldout_energy_pct[1], law.heldout_rmse_w[1]
+    was, alone, now = power(given.power_rmse_w), power(base.power_rmse_w), power(rmse_w)
+    told = f"On runs not used the power error was {was} ({alone} recalibrated) and is {now} with it"
+    if rmse_w > given.power_rmse_w:
+        told = f"On runs not used the power error WAS ONLY {was} ({alone} recalibrated) and is {now} with it"
+    elif rmse_w > base.power_rmse_w:
+        told = f"On runs not used the power error was {was}, is {alone} with the base alone fitted anew, and NO LESS, "
+        told += f"{now}, with it"
+    return f"{told} (energy {given.energy_error_pct:.2f} → {energy_pct:.2f} %)."
 
 
 def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:
     """The command to type next; empty where there is nothing to add or to fit anew."""
-    files = " ".join(shlex.quote(str(log)) for log in logs)
-    on = f" --battery {battery.battery}" if several else ""
-    out = f"{Path(robot).stem}_better.yaml"
+    what = ""
+    clear = next((e for e in battery.effects if not e.indistinguishable_from), None)
+    law = next(iter(battery.proposed_laws), None)
     if worse(battery):
         return ""
-    clear = next((e for e in battery.effects if not e.indistinguishable_from), None)
     if clear is not None:
-        return (
-            f"missionsim add-effect --robot {shlex.quote(robot)} --effect {shlex.quote(clear.effect)}{on} {files} "
-            f"--out {shlex.quote(out)}"
-        )
-    if _base_off(battery):
-        return f"missionsim calibrate --robot {shlex.quote(robot)}{on} {files} --out {shlex.quote(out)}"
-    one = battery.proposed_laws[0] if battery.proposed_laws else None
-    if not battery.effects and one is not None and not one.open:
-        twin = one.looks_like
-        what = f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{one.first.formula}"'
-        return f"missionsim add-effect --robot {shlex.quote(robot)} {what}{on} {files} --out {shlex.quote(out)}"
-    return ""
+        what = f"--effect {shlex.quote(clear.effect)}"
+    elif not battery.effects and law is not None and not law.open:
+        twin = law.looks_like
+        what = f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{law.first.formula}"'
+    elif battery.effects or law is not None or not errors(battery):
+        return ""
+    command = f"add-effect --robot {shlex.quote(robot)} {what}" if what else f"calibrate --robot {shlex.quote(robot)}"
+    on = f" --battery {battery.battery}" if several else ""
+    files = " ".join(shlex.quote(str(log)) for log in logs)
+    return f"missionsim {command}{on} {files} --out {shlex.quote(Path(robot).stem + '_better.yaml')}"
 
 
 def _listed(parts: Sequence[str]) -> str:

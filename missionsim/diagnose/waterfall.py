@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
@@ -14,28 +14,30 @@ if TYPE_CHECKING:
 
 SEEN = 0.5
 """A rise by less than this part of the noise floor is not worth a note."""
-
-
 SEVERAL = 3.0
 """Energy error of held-out runs, in times the noise floor, from which something is missing whatever was found (assumed;
 of a single run chance shows it once in 60)."""
+SHOWN_PCT, SHOWN_SHARE = 0.005, 1e-3
+"""Differences of energy errors [%], and of power errors as a part, that the printed digits hardly show."""
+FAR_SHARE = 0.05
+"""Part by which a recalibration lowers the power error where the base alone is worth fitting anew (assumed)."""
+CLEAR_SHARE = 0.01
+"""Rise of the power error over the better of file and recalibration that is told (assumed)."""
 
 
-class Errors(Protocol):
-    """Errors of one model."""
+class Step(NamedTuple):
+    """One bar of the waterfall: errors of a model on the held-out runs (on the fitted ones where none are held out)."""
 
-    @property
-    def energy_error_pct(self) -> float: ...
-
-    @property
-    def power_rmse_w(self) -> float: ...
-
-
-class Told(NamedTuple):
-    """Energy error [%] and power error [W]."""
-
+    name: str
+    """``before``, ``recalibrated``, ``+ <effect>`` or ``noise floor``; of a diagnosis the kind of model."""
     energy_error_pct: float
+    """Mean over runs of the absolute energy error."""
     power_rmse_w: float
+
+
+def bars_of(held: HeldOut) -> list[Step]:
+    """Errors on held-out runs as bars: of the file as it is, recalibrated, with the effects."""
+    return [Step(kind, error_pct, held.power_rmse_w[kind]) for kind, error_pct in held.energy_error_pct.items()]
 
 
 def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
@@ -64,65 +66,48 @@ def mean_variance(noise: Mapping[str, float], seconds: float) -> float:
     return total
 
 
-def rise_note(
-    name: str, energy_pct: tuple[float, float], rmse_w: tuple[float, float], floor_pct: float, count: int, fitted: int
-) -> str:
+def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int, fitted: int) -> str:
     """In words, why an energy error grew with an effect although the power error fell; empty where it did not.
 
-    `name`: what came in. `energy_pct`, `rmse_w`: errors without and with it. `floor_pct`: mean absolute energy error of
-    a true model. `count`: number of runs that the errors are of. `fitted`: number of runs that the model was fitted to;
-    their common level is known no better than that.
+    `name`: what came in. `floor_pct`: mean absolute energy error of a true model. `count`: number of runs that the
+    errors are of. `fitted`: number of runs that the model was fitted to; their common level is known no better than
+    that.
     """
-    before, after = energy_pct
-    if after <= before + SEEN * floor_pct or rmse_w[1] >= rmse_w[0]:
+    energy_pct = after.energy_error_pct
+    if energy_pct <= before.energy_error_pct + SEEN * floor_pct or after.power_rmse_w >= before.power_rmse_w:
         return ""
     # the mean m of n absolute normal errors has the standard deviation m sqrt(pi/2 - 1) / sqrt(n)
     chance = floor_pct * math.sqrt(1.0 + 1.0 / fitted) * (1.0 + 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count))
     level = floor_pct * math.sqrt(math.pi / 2.0)
-    told = "this may be chance" if after <= chance else "this is more than that"
-    runs = f"{count} run{'s' * (count != 1)}"
+    told = "this may be chance" if energy_pct <= chance else "this is more than that"
     return (
-        f"With {name} the energy error rises from {before:.2f} to {after:.2f} % while the power error falls from "
-        f"{rmse_w[0]:.3g} to {rmse_w[1]:.3g} W. Energy is a sum: without it, errors of opposite sign cancelled out "
-        "over a run. With it, what is left is mostly the level by which a whole run differs from the fitted ones, "
-        f"±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On {runs} even a model of the right "
-        f"form shows up to {chance:.1f} %; {told}."
+        f"With {name} the energy error rises from {before.energy_error_pct:.2f} to {energy_pct:.2f} % while the power "
+        f"error falls from {before.power_rmse_w:.3g} to {after.power_rmse_w:.3g} W. Energy is a sum: without it, "
+        "errors of opposite sign cancelled out over a run. With it, what is left is mostly the level by which a whole "
+        f"run differs from the fitted ones, ±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On "
+        f"{count} run{'s' * (count != 1)} even a model of the right form shows up to {chance:.1f} %; {told}."
     )
 
 
 def energy_note(done: Improved) -> str:
     """`rise_note` of the first step of an improvement that makes the energy error grow; empty where none does."""
     *steps, floor = done.steps
-    count = len((done.first.heldout or done.first).runs)
-    notes = (
-        rise_note(
-            f"'{new.name}'",
-            (old.energy_error_pct, new.energy_error_pct),
-            (old.power_rmse_w, new.power_rmse_w),
-            floor.energy_error_pct,
-            count,
-            len(done.first.runs),
-        )
-        for old, new in pairwise(steps[1:])
-    )
-    return next((note for note in notes if note), "")
+    count, fitted = len((done.first.heldout or done.first).runs), len(done.first.runs)
+    pairs = pairwise(steps[1:])
+    notes = (rise_note(f"'{new.name}'", old, new, floor.energy_error_pct, count, fitted) for old, new in pairs)
+    return next(filter(None, notes), "")
 
 
-def heldout_note(battery: BatteryDiagnosis) -> str:
-    """`rise_note` of what a diagnosis found, against recalibration alone."""
+def noted(battery: BatteryDiagnosis) -> BatteryDiagnosis:
+    """The same diagnosis with why its energy error rose against recalibration alone, where it did, before its other
+    remarks."""
     if battery.heldout is None or not battery.effects:
-        return ""
-    energy, rmse = battery.heldout.energy_error_pct, battery.heldout.power_rmse_w
+        return battery
+    _, before, after = bars_of(battery.heldout)
     name = "the effect" if len(battery.effects) == 1 else "the effects"
-    kinds = ("recalibrated", "with_effects")
-    return rise_note(
-        name,
-        (energy[kinds[0]], energy[kinds[1]]),
-        (rmse[kinds[0]], rmse[kinds[1]]),
-        noise_floor(battery)[0],
-        len(battery.heldout.runs),
-        len(battery.runs),
-    )
+    count = len(battery.heldout.runs)
+    note = rise_note(name, before, after, noise_floor(battery)[0], count, len(battery.runs))
+    return replace(battery, remarks=(note, *battery.remarks)) if note else battery
 
 
 def unseen_note(battery: BatteryDiagnosis) -> str:
@@ -143,27 +128,13 @@ def unseen_note(battery: BatteryDiagnosis) -> str:
     )
 
 
-def noted(battery: BatteryDiagnosis) -> BatteryDiagnosis:
-    """The same diagnosis with why its energy error rose, where it did, before its other remarks."""
-    note = heldout_note(battery)
-    return replace(battery, remarks=(note, *battery.remarks)) if note else battery
-
-
-SHOWN_PCT, SHOWN_SHARE = 0.005, 1e-3
-"""Differences of energy errors [%], and of power errors as a part, that the printed digits hardly show."""
-FAR_SHARE = 0.05
-"""Part by which a recalibration lowers the power error where the base alone is worth fitting anew (assumed)."""
-CLEAR_SHARE = 0.01
-"""Rise of the power error over the better of file and recalibration that is told (assumed)."""
-
-
-def clearly_better(one: Errors, other: Errors) -> bool:
+def clearly_better(one: Step, other: Step) -> bool:
     """Whether one model's power error is less by more than `FAR_SHARE` and its energy error no greater."""
     less = one.power_rmse_w < (1.0 - FAR_SHARE) * other.power_rmse_w
     return less and one.energy_error_pct <= other.energy_error_pct + SHOWN_PCT
 
 
-def best_before(bars: Sequence[Errors]) -> int:
+def best_before(bars: Sequence[Step]) -> int:
     """Number of the bar before the last that predicts best: file, recalibration, then each effect in its turn.
 
     One whose energy error is beyond both that of the file and of the recalibration is none to go back to.
@@ -173,7 +144,7 @@ def best_before(bars: Sequence[Errors]) -> int:
     return min(kept, key=lambda i: bars[i].power_rmse_w)
 
 
-def worse_note(bars: Sequence[Errors], added: Sequence[str] = (), heldout: bool = True) -> str:
+def worse_note(bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = True) -> str:
     """In words, that runs are predicted worse than by a bar before the last, or than in energy by the first two.
 
     `bars`: errors of the file as it was, of a mere recalibration, and after each of `added`. Empty where none is worse.
@@ -200,12 +171,6 @@ def worse_note(bars: Sequence[Errors], added: Sequence[str] = (), heldout: bool 
         )
     which = "runs that were not used to fit" if heldout else "the fitted runs"
     return f"WORSE on {which}: {what} {' and '.join(told)}." if told else ""
-
-
-def worse_of(held: HeldOut) -> str:
-    """`worse_note` of errors on held-out runs."""
-    kinds = ("nominal", "recalibrated", "with_effects")
-    return worse_note([Told(held.energy_error_pct[kind], held.power_rmse_w[kind]) for kind in kinds])
 
 
 def measured_note(done: Improved) -> str:

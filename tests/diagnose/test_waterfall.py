@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import sentences, words
-from missionsim.diagnose.improve import Improved, Step, _why
-from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, noise_floor, noted, worse_of
+from missionsim.diagnose.improve import Improved, _why
+from missionsim.diagnose.waterfall import Step, energy_note, mean_variance, noise_floor, noted
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from tests.diagnose.test_words import BATTERY, HELD
@@ -84,10 +84,14 @@ def test_runs_that_got_worse_are_told_first() -> None:
     energy = {"nominal": 1.0, "recalibrated": 0.5, "with_effects": 1.2}
     rmse = {"nominal": 1.3, "recalibrated": 1.2, "with_effects": 0.6}
     held = HeldOut("the last run", ("run_05",), energy, rmse)
-    assert worse_of(held).startswith("WORSE on runs that were not used to fit: what was added raises the energy error")
-    assert words.headline(replace(BATTERY, heldout=held)).startswith("WORSE")
-    assert worse_of(replace(held, energy_error_pct={**energy, "with_effects": 0.9})) == ""  # between the two
-    assert "power error" in worse_of(replace(held, energy_error_pct=rmse, power_rmse_w={**rmse, "with_effects": 1.25}))
+    worse = replace(BATTERY, heldout=held)
+    told = sentences.worse(worse)
+    assert told.startswith("WORSE on runs that were not used to fit: what was added raises the energy error")
+    assert words.headline(worse).startswith("WORSE")
+    between = replace(held, energy_error_pct={**energy, "with_effects": 0.9})
+    assert sentences.worse(replace(BATTERY, heldout=between)) == ""
+    more = replace(held, energy_error_pct=rmse, power_rmse_w={**rmse, "with_effects": 1.25})
+    assert "power error" in sentences.worse(replace(BATTERY, heldout=more))
     done = improved(3.0)
     assert done.worse
     page = unescape(improve_page("r", [done]))
@@ -104,13 +108,13 @@ def test_a_diagnosis_tells_why_the_energy_error_rises_too() -> None:
     energy = {"nominal": 2.3, "recalibrated": 0.2, "with_effects": 2.3}
     rmse = {"nominal": 1.3, "recalibrated": 1.2, "with_effects": 0.6}
     rising = noted(replace(BATTERY, heldout=HeldOut("the last run", ("run_05",), energy, rmse)))
-    note = heldout_note(rising)
+    note = rising.remarks[0]
     assert note.startswith("With the effect the energy error rises from 0.20 to 2.30 % while the power error falls")
     assert ("NOTE", note) in words.report(rising)
     assert note in rising.to_json()["remarks"]
     assert note in unescape(diagnosis_page(Diagnosis("r", {"robot": rising})))
     assert noted(BATTERY) is BATTERY
-    assert heldout_note(replace(rising, effects=())) == ""
+    assert noted(nothing := replace(rising, effects=(), remarks=())) is nothing
 
 
 def test_the_noise_floor_is_what_runs_of_this_noise_show() -> None:
