@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,43 +12,35 @@ import numpy as np
 from missionsim.diagnose.examine import Examined, examine
 from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
-from missionsim.diagnose.heldout import KINDS, Models
+from missionsim.diagnose.heldout import KINDS
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import as_finding as as_law
-from missionsim.diagnose.proposed import (
-    beside_law,
-    depends_on,
-    of_motion,
-    proposed_laws,
-    something_else,
-    with_law,
-    without_stand_ins,
-)
+from missionsim.diagnose.proposed import proposed_laws, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import noted
-from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
 from missionsim.identify.align import Clock
+from missionsim.identify.data import Candidate
 from missionsim.identify.findings import (
     BatteryDiagnosis,
     Diagnosis,
     Finding,
     HeldOut,
     Judged,
-    Recalibrated,
     RunSeries,
     Structure,
-    Unexplained,
     Where,
 )
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import ALPHA, Settings
 from missionsim.identify.verdict import decide
+from missionsim.laws.proposal import plain
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
+from missionsim.runs.covariates import logged_name
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -57,6 +49,8 @@ if TYPE_CHECKING:
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
 MOST_SHIFTS = 4
+MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
+STANDS_IN = "stood in for a law that the library does not hold"
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
 
 
@@ -197,44 +191,71 @@ def diagnose_battery(
     seen = seen or examine(subject, split, battery, settings, clock)
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     effects, candidates, proposed, fitted = _named(seen, settings, laws, tried)
-    fits = {"recalibrated": models.fit(()), "with_effects": fitted}
-    powers = {"nominal": subject.model, **{kind: fit.model for kind, fit in fits.items()}}
+    fits = (subject.model, models.fit(()).model, fitted.model)
+    powers = dict(zip(KINDS, fits, strict=True))
     heldout: HeldOut | None = None
     if held:
         heldout = models.held_out(powers, held, split.how, split.shifted)
         before = models.without(effects, held)
         after = heldout.power_rmse_w["with_effects"]
         effects = tuple(replace(e, heldout_rmse_before_w=before[e.effect], heldout_rmse_after_w=after) for e in effects)
-    series = _series(seen, powers)
+    source = found.choice.model.source
+    design = source.design(at := models.clock.in_all(len(source.runs)))
+    nominal_w, fitted_w = (models.averaged(power, source, at) for power in (fits[0], fits[-1]))
+    series = tuple(
+        RunSeries(name, design.time_s[part], design.y[part], nominal_w[part], fitted_w[part])
+        for name, part in zip(design.names, design.runs, strict=True)
+    )
+    # what the means of the analysis do not show, since it averages out within them
+    square = sum(float(np.sum((run.fitted_w - run.measured_w) ** 2)) for run in series)
+    square /= max(sum(len(run.time_s) for run in series), 1)
+    within = max(models.errors(fits[-1], models.runs).power_rmse_w ** 2 - square, 0.0)
     logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
     driven: list[ExecutionEffect] = []
-    if timeline is not None and all("speed_m_s" in log.columns for log in logs):
-        driven = execution_effects(timeline, logs, battery, settings.alpha)
-    execution = tuple(as_finding(one) for one in driven if one.found)
-    left, averages = _remaining(seen, fitted)
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
-    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
-    remains = [s for s in found.unexplained.structures if s not in found.averages]
-    law = something_else(proposed, effects, features)
+        if all("speed_m_s" in log.columns for log in logs):
+            driven = execution_effects(timeline, logs, battery, settings.alpha)
+    execution = tuple(as_finding(one) for one in driven if one.found)
+    recalibration = models.recalibrated(fitted)
+    # what remains with all that was named, and which parts of it are averages that say nothing of their own
+    left, more = found.unexplained, list[Structure]()
+    if features.given_sd:
+        shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in recalibration[:MOST_SHIFTS])
+        far = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
+        more.append(Structure("", 0.0, 0.0, 0.0, far))
+    if found.factor is None and not found.averages and (over := leftover(found, features.covariates)) is not None:
+        more += [over] if over.covariate not in left.depends_on else []
+    certain = [name for law in proposed for name in law.certain]
+    left = replace(
+        left,
+        # the quantities of the law before those that one curve at a time showed
+        depends_on=tuple(dict.fromkeys((*certain, *left.depends_on, *(s.covariate for s in more if s.covariate)))),
+        shape="; ".join(filter(None, (left.shape, *(s.shape for s in more)))),
+        structures=(*left.structures, *more),
+    )
+    # a law that reads what no single named effect reads; else it is the form of that effect, told beside it
+    reads = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
+    law = any(not any({logged_name(v) for v in one.first.variables} <= own for own in reads) for one in proposed)
     if law:
-        effects = tuple(replace(e, remark=beside_law(e, proposed, features)) for e in effects)
-    if proposed:
-        left = depends_on(proposed, left)
+        effects = tuple(replace(e, remark=_beside_law(e, proposed, features.candidates)) for e in effects)
     bench = Bench(subject.model, features, found.choice, site_of(features.covariates, subject.limits), settings)
     unexplained = found.unexplained if found.verdict == "unexplained_structure" else None
+    remains = [s for s in found.unexplained.structures if s not in found.averages]
+    averages = (*found.averages, *more)
+    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     return noted(
         BatteryDiagnosis(
             verdict=decide(effects, remains, found.demoted, law=law, execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,
-            recalibration=models.recalibrated(fits["with_effects"]),
+            recalibration=recalibration,
             delay_s=found.delay_s,
             lag_s=found.lag_s,
             clock_at_edge=found.clock_at_edge,
-            noise={**found.noise, "within_rows_w": _within_rows(models, powers["with_effects"], series)},
+            noise={**found.noise, "within_rows_w": float(np.sqrt(within))},
             unexplained=left,
             remarks=tuple(dict.fromkeys(remarks)),
             mean_power_w=found.mean_power_w,
@@ -250,7 +271,7 @@ def diagnose_battery(
             where=_where(subject, split, battery),
             series=series,
             clock=found.choice.model.clock,
-            aligned=found.choice.model.source.aligned,
+            aligned=source.aligned,
         )
     )
 
@@ -264,51 +285,34 @@ def _named(
     if laws and found.factor is None:
         proposed = proposed_laws(found, features.covariates, models, held)
         if features.unlogged:
-            proposed = tuple(law for law in proposed if of_motion(law))
+            # loads that nobody logged look like a law of time, temperature or processor load, never like one of motion
+            reads = [{name for form in law.laws for name in form.variables} for law in proposed]
+            kept = [bool(own & MOTION) and own <= MOTION | {"payload_kg", "mass_kg"} for own in reads]
+            proposed = tuple(law for law, of_motion in zip(proposed, kept, strict=True) if of_motion)
         if found.choice.forward is not None and {e.effect for e in found.effects} - {*tried}:
             # where the base is far from right, effects that predict come first, unless a law predicts far better
             proposed = tuple(law for law in proposed if law.far_better)
-    effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
+    stood_in = {name for law in proposed for name in law.instead_of}
+    effects = tuple(effect for effect in found.effects if effect.effect not in stood_in)
     if found.choice.forward is not None and effects and proposed:
         made = as_law(proposed[0])
         effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
-    kept = {effect.effect for effect in effects}
-    candidates = tuple(
-        c if c.effect in kept or not c.accepted else replace(c, accepted=False, open=True, reason=NOTHING_LEFT)
-        for c in candidates
-    )
-    return effects, candidates, proposed, fitted
+    told = {effect.effect for effect in effects}
+    candidates = []
+    for one in found.candidates:
+        gone = STANDS_IN if one.effect in stood_in else NOTHING_LEFT if one.accepted and one.effect not in told else ""
+        candidates.append(replace(one, accepted=False, open=True, reason=gone) if gone else one)
+    return effects, tuple(candidates), proposed, fitted
 
 
-def _remaining(seen: Examined, fitted: FinalFit) -> tuple[Unexplained, tuple[Structure, ...]]:
-    """What remains with all that was named, and which parts of it are averages that say nothing of their own."""
-    features, found = seen.features, seen.found
-    left, averages = found.unexplained, found.averages
-    more = [_refuted(seen.models.recalibrated(fitted))] if features.given_sd else []
-    if found.factor is None and not averages and (over := leftover(found, features.covariates)) is not None:
-        structure = over.structure(found.mean_power_w)
-        more += [structure] if structure.covariate not in left.depends_on else []
-    depends = (*left.depends_on, *(s.covariate for s in more if s.covariate))
-    shape = "; ".join(filter(None, (left.shape, *(s.shape for s in more))))
-    return replace(left, depends_on=depends, shape=shape, structures=(*left.structures, *more)), (*averages, *more)
-
-
-def _refuted(base: Sequence[Recalibrated]) -> Structure:
-    """What the file says of its base, against what the logs say."""
-    shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in base[:MOST_SHIFTS])
-    told = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
-    return Structure("", 0.0, 0.0, 0.0, told)
-
-
-def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries]) -> float:
-    """Error that the means of the analysis do not show, since it averages out within them [W]."""
-    count = sum(len(run.time_s) for run in series)
-    square = sum(float(np.sum((run.fitted_w - run.measured_w) ** 2)) for run in series) / max(count, 1)
-    rows = models.errors(power, models.runs).power_rmse_w
-    return float(np.sqrt(max(rows**2 - square, 0.0)))
+def _beside_law(effect: Finding, laws: Sequence[Proposal], candidates: Sequence[Candidate]) -> str:
+    """In words, that a law of another form reads what an effect goes by, which may then stand for a part of it."""
+    goes_by = {logged_name(c.covariate) for c in candidates if c.effect == effect.effect}
+    shared = [name for law in laws for name in law.first.variables if name in goes_by]
+    return f"a law of {plain(shared[0])} explains beside it what that effect cannot" if shared else effect.remark
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
@@ -319,14 +323,3 @@ def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
         return ()
     told = [w for w in result.batteries[battery].where if w.explains > WORTH_SAYING][:MOST_WHERE]
     return tuple(Where(w.title, f"{w.value} {w.unit}".strip(), w.share_of_squared_error, w.bias_w) for w in told)
-
-
-def _series(seen: Examined, powers: Mapping[str, PowerModel]) -> tuple[RunSeries, ...]:
-    source = seen.found.choice.model.source
-    clock = seen.models.clock.in_all(len(source.runs))
-    design = source.design(clock)
-    rows = [seen.models.averaged(powers[kind], source, clock) for kind in (KINDS[0], KINDS[-1])]
-    return tuple(
-        RunSeries(name, design.time_s[part], design.y[part], *(power[part] for power in rows))
-        for name, part in zip(design.names, design.runs, strict=True)
-    )

@@ -6,7 +6,7 @@ numbers scatter; a Student interval over runs says which differ from the plan (r
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from missionsim.effects.timeline import Timeline
 from missionsim.identify.findings import Estimate, Finding, Judged
 from missionsim.physics import Array
-from missionsim.runs.motion import Motion, Still, motions, planned, speed_of, still_of, stretch, told_apart, tracking
+from missionsim.runs.motion import Motion, motions, planned, speed_of, still_of, stretch, told_apart, tracking
 from missionsim.runs.run import Run
 
 ODOMETRY_SCALE = 0.01
@@ -62,50 +62,83 @@ def execution_effects(
     the mission has more than one. `alpha`: family-wise rate of false alarms over all effects and schemes.
     """
     still = still_of(timeline)
-    plan = planned(timeline)
-    driven = [_motions(log, battery, still, by_scheme=True) for log in logs]
-    whole = [_motions(log, battery, still, by_scheme=False)[""] for log in logs]
+    plan, whole_plan = planned(timeline), planned(timeline, by_scheme=False)[""]
+    driven: list[dict[str, Motion]] = []
+    whole: list[Motion] = []
+    for log in logs:
+        power = np.nan_to_num(log.power_w[battery])
+        driving = speed_of(log.columns) >= still[0]
+        turn = np.abs(log.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in log.columns else np.zeros(log.rows)
+        standing_w = np.where(driving | (turn >= still[1]), 0.0, power)
+        parts = {"all": power, "driving": np.where(driving, power, 0.0), "standing": standing_w}
+        driven.append(motions(log.columns, log.dt_s, parts, still))
+        whole.append(motions(log.columns, log.dt_s, parts, still, by_scheme=False)[""])
     if not told_apart(plan, driven):
-        plan, driven = planned(timeline, by_scheme=False), [{"": run} for run in whole]
+        plan, driven = {"": whole_plan}, [{"": run} for run in whole]
     measured_j = sum(run.energy_j["all"] for run in whole)
     names = [name for name, motion in plan.items() if motion.distance_m > 0.0]
     level = alpha / max(1, 3 * len(names))
     found: list[ExecutionEffect] = []
     for name in names:
         runs = [run[name] for run in driven if name in run and run[name].distance_m > 0.0]
-        if runs:
-            found += _of_scheme(name, plan[name], runs, measured_j, level)
+        if not runs:
+            continue
+        power_w = float(np.mean([run.energy_j["driving"] / run.driving_s for run in runs]))
+        ways, speeds = stretch(plan[name], runs), tracking(plan[name], runs)
+        way_j = power_w * float(np.sum(ways - 1.0)) * plan[name].distance_m / plan[name].speed_m_s
+        # the slower way takes longer at the power that was drawn while driving
+        longer_s = sum(run.driving_s * (1.0 - float(r)) for run, r in zip(runs, speeds, strict=True))
+        found.append(_judged("path_stretch", name, ways, way_j / measured_j, level))
+        found.append(_judged("speed_tracking", name, speeds, power_w * longer_s / measured_j, level))
     # a log says its scheme while it waits, a plan need not: standing still is compared over the whole mission
-    found.append(_dwell(planned(timeline, by_scheme=False)[""], whole, measured_j, level))
+    seconds = np.array([run.standing_s - whole_plan.standing_s for run in whole])
+    drawn = [run.energy_j["standing"] / run.standing_s for run in whole if run.standing_s > 0.0]
+    moving = [run.energy_j["driving"] / run.driving_s for run in whole if run.driving_s > 0.0]
+    still_w = float(np.mean(drawn)) if drawn else 0.5 * float(np.mean(moving or [0.0]))
+    found.append(_judged("dwell", "", seconds, still_w * float(seconds.sum()) / measured_j, level))
     return found
 
 
-def _motions(log: Run, battery: str, still: Still, *, by_scheme: bool) -> dict[str, Motion]:
-    """Sums of one run, with the measured energy of all rows, of those driven and of those at rest."""
-    power = np.nan_to_num(log.power_w[battery])
-    speed = speed_of(log.columns)
-    driving = speed >= still[0]
-    turn = np.abs(log.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in log.columns else np.zeros(log.rows)
-    turning = turn >= still[1]
-    parts = {
-        "all": power,
-        "driving": np.where(driving, power, 0.0),
-        "standing": np.where(driving | turning, 0.0, power),
-    }
-    return motions(log.columns, log.dt_s, parts, still, by_scheme=by_scheme)
+def _judged(effect: str, scheme: str, values: Array, share: float, level: float) -> ExecutionEffect:
+    """An effect from its ratio to the plan (seconds for ``dwell``) in each run, with a Student interval over runs."""
+    from scipy.special import stdtr, stdtrit
+
+    ratios, count = effect != "dwell", len(values)
+    scale = np.log(values) if ratios else values
+    value, low, high, p = float(np.mean(scale)), float("nan"), float("nan"), float("nan")
+    if count >= FEWEST_RUNS:
+        # runs that agree to the last digit (a simulated log) still have an odometer
+        error = max(float(np.std(scale, ddof=1)) / np.sqrt(count), 1e-4 * max(abs(value), 1e-3))
+        reach = float(stdtrit(count - 1, 0.975)) * error
+        low, high, p = value - reach, value + reach, float(2.0 * stdtr(count - 1, -abs(value) / error))
+    if ratios:
+        value, low, high = (float(np.exp(one)) for one in (value, low, high))
+        away = abs(value - 1.0) > ODOMETRY_SCALE
+        why = "" if away else "closer to the plan than an odometer's scale"
+    else:
+        away = value > SHORTEST_DWELL_S
+        why = "stood still for less time than planned" if value < -SHORTEST_DWELL_S else ""
+        why = why or ("" if away else f"less than {SHORTEST_DWELL_S:g} s a run")
+    found = bool(p < level and away)
+    if found:
+        reason = f"differs from the plan in {count} runs, p = {p:.1g}"
+    elif count < FEWEST_RUNS:
+        reason = "one run cannot show how it scatters"
+    else:
+        reason = why or f"as planned within its scatter over {count} runs (p = {p:.2g}, needed {level:.1g})"
+    unit = "1" if ratios else "s"
+    return ExecutionEffect(effect, scheme, value, low, high, p, unit, share, found=found, reason=reason)
 
 
 def told_of(effects: Sequence[ExecutionEffect]) -> list[Judged]:
-    """The execution effects as candidates that were looked at, all schemes of one together."""
-    return [
-        Judged(
-            name,
-            any(one.found for one in own),
-            "; ".join(f"{one.scheme}: {one.reason}" if one.scheme else one.reason for one in own),
-            None,
-        )
-        for name, own in by_effect(effects).items()
-    ]
+    """The execution effects as candidates that were looked at, all schemes of one together, those found first."""
+    order = sorted(effects, key=lambda one: (not one.found, -abs(one.energy_share)))
+    told = []
+    for name in dict.fromkeys(one.effect for one in order):
+        own = [one for one in order if one.effect == name]
+        why = "; ".join(f"{one.scheme}: {one.reason}" if one.scheme else one.reason for one in own)
+        told.append(Judged(name, any(one.found for one in own), why, None))
+    return told
 
 
 def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
@@ -122,91 +155,6 @@ def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
     if not told:
         return []
     return [f"driven otherwise than planned in this run: {'; '.join(told)}; one run cannot show whether it repeats"]
-
-
-def _of_scheme(
-    name: str, plan: Motion, runs: Sequence[Motion], measured_j: float, level: float
-) -> list[ExecutionEffect]:
-    power = float(np.mean([run.energy_j["driving"] / run.driving_s for run in runs]))
-    ways, speeds = stretch(plan, runs), tracking(plan, runs)
-    way_j = power * float(np.sum(ways - 1.0)) * plan.distance_m / plan.speed_m_s
-    # the slower way takes longer at the power that was drawn while driving
-    longer_s = sum(run.driving_s * (1.0 - float(r)) for run, r in zip(runs, speeds, strict=True))
-    return [
-        _ratio("path_stretch", name, ways, way_j / measured_j, level),
-        _ratio("speed_tracking", name, speeds, power * longer_s / measured_j, level),
-    ]
-
-
-def _dwell(plan: Motion, runs: Sequence[Motion], measured_j: float, level: float) -> ExecutionEffect:
-    seconds = np.array([run.standing_s - plan.standing_s for run in runs])
-    drawn = [run.energy_j["standing"] / run.standing_s for run in runs if run.standing_s > 0.0]
-    driving = [run.energy_j["driving"] / run.driving_s for run in runs if run.driving_s > 0.0]
-    still_w = float(np.mean(drawn)) if drawn else 0.5 * float(np.mean(driving or [0.0]))
-    return _seconds("", seconds, still_w * float(seconds.sum()) / measured_j, level)
-
-
-def _ratio(effect: str, scheme: str, ratios: Array, share: float, level: float) -> ExecutionEffect:
-    logs_of = np.log(ratios)
-    middle, low, high, p = _student(logs_of)
-    value = float(np.exp(middle))
-    away = abs(value - 1.0) > ODOMETRY_SCALE
-    found = bool(p < level and away)
-    reason = _reason(found, p, level, len(ratios), "closer to the plan than an odometer's scale" if not away else "")
-    return ExecutionEffect(
-        effect, scheme, value, float(np.exp(low)), float(np.exp(high)), p, "1", share, found=found, reason=reason
-    )
-
-
-def _seconds(scheme: str, seconds: Array, share: float, level: float) -> ExecutionEffect:
-    middle, low, high, p = _student(seconds)
-    away = abs(middle) > SHORTEST_DWELL_S
-    found = bool(p < level and away and middle > 0.0)
-    why = "" if away else f"less than {SHORTEST_DWELL_S:g} s a run"
-    if middle < -SHORTEST_DWELL_S:
-        why = "stood still for less time than planned"
-    return ExecutionEffect(
-        "dwell",
-        scheme,
-        middle,
-        low,
-        high,
-        p,
-        "s",
-        share,
-        found=found,
-        reason=_reason(found, p, level, len(seconds), why),
-    )
-
-
-def _reason(found: bool, p: float, level: float, runs: int, why: str) -> str:
-    if found:
-        return f"differs from the plan in {runs} runs, p = {p:.1g}"
-    if runs < FEWEST_RUNS:
-        return "one run cannot show how it scatters"
-    return why or f"as planned within its scatter over {runs} runs (p = {p:.2g}, needed {level:.1g})"
-
-
-def _student(values: Array) -> tuple[float, float, float, float]:
-    """Mean, 95 % interval and two-sided p-value of mean nought."""
-    from scipy.special import stdtr, stdtrit
-
-    count = len(values)
-    middle = float(np.mean(values))
-    if count < FEWEST_RUNS:
-        return middle, float("nan"), float("nan"), float("nan")
-    # runs that agree to the last digit (a simulated log) still have an odometer
-    error = max(float(np.std(values, ddof=1)) / np.sqrt(count), 1e-4 * max(abs(middle), 1e-3))
-    reach = float(stdtrit(count - 1, 0.975)) * error
-    return middle, middle - reach, middle + reach, float(2.0 * stdtr(count - 1, -abs(middle) / error))
-
-
-def by_effect(effects: Sequence[ExecutionEffect]) -> Mapping[str, list[ExecutionEffect]]:
-    """The execution effects grouped by their id, those found first."""
-    grouped: dict[str, list[ExecutionEffect]] = {}
-    for one in sorted(effects, key=lambda e: (not e.found, -abs(e.energy_share))):
-        grouped.setdefault(one.effect, []).append(one)
-    return grouped
 
 
 def as_finding(one: ExecutionEffect) -> Finding:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,35 +37,7 @@ VARIES: Mapping[str, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Leftover:
-    """A kind of motion that holds most of the squared error in a small part of the time."""
-
-    motion: str
-    """One of `missionsim.runs.motion.MOTIONS`."""
-    bias_w: float
-    """Mean of model minus measured power there [W]."""
-    square_share: float
-    time_share: float
-    """Both: its parts of the squared error and of the time."""
-
-    def structure(self, mean_power_w: float) -> Structure:
-        """The same as a structure of the residual, which depends on what tells this kind of motion from others."""
-        size = abs(self.bias_w) * self.time_share / mean_power_w
-        return Structure(VARIES.get(self.motion, ""), 0.0, 0.0, size, self.told)
-
-    @property
-    def told(self) -> str:
-        """In words."""
-        way = "high" if self.bias_w > 0.0 else "low"
-        return (
-            f"a systematic error while {self.motion}, model {watts(abs(self.bias_w)).lstrip('+')} W too {way}: "
-            f"{100 * self.square_share:.0f} % of the squared error in {100 * self.time_share:.0f} % of the time; "
-            "no effect of the library describes it"
-        )
-
-
-def leftover(found: Identification, covariates: Sequence[Covariates]) -> Leftover | None:
+def leftover(found: Identification, covariates: Sequence[Covariates]) -> Structure | None:
     """What recalibration and the effects found leave over in one kind of motion; None where nothing stands out.
 
     `covariates`: covariates of each fitted run at its raw rate, as in `missionsim.diagnose.features.Features`.
@@ -77,33 +47,36 @@ def leftover(found: Identification, covariates: Sequence[Covariates]) -> Leftove
     known = [covariates[i] for i in source.kept]
     if not all({"speed_m_s", "accel_m_s2"} <= cov.keys() for cov in known):
         return None
-    kinds = [_kinds(cov) for cov in known]
-    if any(len(kind) != len(run.time_s) for kind, run in zip(kinds, source.runs, strict=True)):
-        return None
+    kinds = []
+    for cov, run in zip(known, source.runs, strict=True):
+        kind = kinds_of_motion(cov)
+        ahead = kinds_of_motion({name: column for name, column in cov.items() if name != "yaw_rate_rad_s"})
+        kind = np.where(np.isin(ahead, RAMPS), ahead, kind)  # ramps count as such in curves as well
+        if len(kind) != len(run.time_s):
+            return None
+        kinds.append((kind[None, :] == np.arange(len(MOTIONS))[:, None]).astype(float))
     names = {effect.effect for effect in found.effects}
     chosen = [k for k in model.chosen if found.library[design.layout.columns[k].candidate].effect in names]
     error_w = prediction(model, chosen, design) - design.y
-    count = len(MOTIONS)
-    part = source.averaged([(kind[None, :] == np.arange(count)[:, None]).astype(float) for kind in kinds], model.clock)
-    rows = part > 0.5  # rows that lie in this kind of motion for the most part
-    return standing_out(error_w, design.duration_s, design.run_index(), rows, found.noise["sd_w"])
-
-
-def _kinds(cov: Mapping[str, Any]) -> NDArray[np.int64]:
-    """Index into `MOTIONS` of each row, shape (n,); ramps count as such in curves as well."""
-    kinds = kinds_of_motion(cov)
-    ahead = kinds_of_motion({name: column for name, column in cov.items() if name != "yaw_rate_rad_s"})
-    return np.where(np.isin(ahead, RAMPS), ahead, kinds)
+    rows = source.averaged(kinds, model.clock) > 0.5  # rows that lie in this kind of motion for the most part
+    run_index, sd_w = design.run_index(), found.noise["sd_w"]
+    return standing_out(error_w, design.duration_s, run_index, rows, noise_w=sd_w, mean_power_w=found.mean_power_w)
 
 
 def standing_out(
-    error_w: Array, seconds: Array, run: NDArray[np.intp], rows: NDArray[np.bool_], noise_w: float
-) -> Leftover | None:
+    error_w: Array,
+    seconds: Array,
+    run: NDArray[np.intp],
+    rows: NDArray[np.bool_],
+    *,
+    noise_w: float,
+    mean_power_w: float,
+) -> Structure | None:
     """The kind of motion with most of the squared error in a small part of the time, if its mean is clear of noise.
 
     `error_w`, `seconds` (shape (n,)): model minus measured power [W]; time that a row stands for [s]. `run` (shape
     (n,)): number of the run. `rows` (shape (kinds, n)): whether a row lies in each of `MOTIONS`. `noise_w`: standard
-    deviation of the noise of a row [W].
+    deviation of the noise of a row [W]. The structure depends on what tells this kind of motion from others.
     """
     square = error_w**2 * seconds
     if square.sum() <= 0.0:
@@ -122,7 +95,12 @@ def standing_out(
     if abs(mean) < CLEAR_OF_NOISE * noise_w or abs(mean) < CLEAR_T * float(means.std(ddof=1)) / math.sqrt(len(means)):
         return None
     bias_w = float(np.average(error_w[here], weights=seconds[here]))
-    return Leftover(MOTIONS[kind], bias_w, float(shares[kind]), time_share)
+    told = (
+        f"a systematic error while {MOTIONS[kind]}, model {watts(abs(bias_w)).lstrip('+')} W too "
+        f"{'high' if bias_w > 0.0 else 'low'}: {100 * float(shares[kind]):.0f} % of the squared error in "
+        f"{100 * time_share:.0f} % of the time; no effect of the library describes it"
+    )
+    return Structure(VARIES.get(MOTIONS[kind], ""), 0.0, 0.0, abs(bias_w) * time_share / mean_power_w, told)
 
 
 def watts(power_w: float) -> str:
@@ -163,7 +141,13 @@ def fed_note(last: BatteryDiagnosis, battery: str, fitted: Sequence[Run], others
         least = one.smallest_detectable_share
         if kind != "logged_power" or one.accepted or least is None:
             continue
-        here, there = _part_of(column, battery, fitted), _part_of(column, battery, others)
+        parts = []
+        for runs in (fitted, others):
+            own = [run for run in runs if column in run.columns]
+            fed = sum(float(np.nansum(run.number(column) * run.dt_s)) for run in own)
+            fed *= 1e3 if column.endswith("_kw") else 1.0
+            parts.append(fed / max(sum(3600.0 * run.energy_wh(battery) for run in own), 1e-9))
+        here, there = parts
         if here < least and there > MUCH:
             return (
                 f" Whether this battery feeds {column} cannot be seen: it would be {100 * here:.1f} % of the energy of "
@@ -171,10 +155,3 @@ def fed_note(last: BatteryDiagnosis, battery: str, fitted: Sequence[Run], others
                 f"runs with more of it; where it is known to be fed, add-effect --effect {one.effect} --force adds it."
             )
     return ""
-
-
-def _part_of(column: str, battery: str, runs: Sequence[Run]) -> float:
-    """Energy of a column in watts as a part of a battery's, if it were fed by it."""
-    own = [run for run in runs if column in run.columns]
-    fed = sum(float(np.nansum(run.number(column) * run.dt_s)) for run in own) * (1e3 if column.endswith("_kw") else 1.0)
-    return fed / max(sum(3600.0 * run.energy_wh(battery) for run in own), 1e-9)

@@ -6,19 +6,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from missionsim.diagnose.features import Features
 from missionsim.diagnose.heldout import Models
 from missionsim.effects.base import ParameterSpec
 from missionsim.effects.base_terms import expression_term
 from missionsim.effects.covariates import Covariates
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
-from missionsim.identify.findings import Estimate, Finding, Judged, Unexplained
+from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import Proposal
 from missionsim.laws.grammar import unit_of
-from missionsim.laws.proposal import Z95, plain, propose
-from missionsim.runs.covariates import logged_name
+from missionsim.laws.proposal import Z95, propose
 from missionsim.runs.run import Run
 
 _SHORT = {
@@ -34,9 +32,8 @@ _SHORT = {
     "time_s": "time",
     "moving_time_s": "moving_time",
 }
-MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
+_OF_DRIVE = frozenset({"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"})
 PROPOSED = "proposed: no effect of the library fits"
-STANDS_IN = "stood in for a law that the library does not hold"
 
 
 def proposed_laws(
@@ -67,33 +64,10 @@ def proposed_laws(
 
 def with_law(models: Models, name: str, formula: str) -> Models:
     """Models that can hold a law under a name."""
+    expression = compile_expression(formula)
     specs = (ParameterSpec("k", unit_of(formula), low=-math.inf if _may_give_back(formula) else 0.0),)
-    effect = expression_term(name, compile_expression(formula), specs, drive=_about_motion(formula))
+    effect = expression_term(name, expression, specs, drive=bool(expression.names & _OF_DRIVE))
     return replace(models, features=replace(models.features, effects={**models.features.effects, name: effect}))
-
-
-def without_stand_ins(
-    laws: Sequence[Proposal], effects: Sequence[Finding], candidates: Sequence[Judged]
-) -> tuple[tuple[Finding, ...], tuple[Judged, ...]]:
-    """Effects and candidates once those that stood in for a law are no longer named."""
-    gone = {name for law in laws for name in law.instead_of}
-    judged = tuple(
-        replace(c, accepted=False, reason=STANDS_IN, open=True) if c.effect in gone else c for c in candidates
-    )
-    return tuple(e for e in effects if e.effect not in gone), judged
-
-
-def of_motion(law: Proposal) -> bool:
-    """Whether a law reads how the robot moves and what it carries alone, which loads that nobody logged do not follow:
-    these look like a law of time, temperature or processor load."""
-    read = {name for form in law.laws for name in form.variables}
-    return bool(read & MOTION) and read <= MOTION | {"payload_kg", "mass_kg"}
-
-
-def depends_on(laws: Sequence[Proposal], left: Unexplained) -> Unexplained:
-    """What remains, with the quantities of the law before those that one curve at a time showed."""
-    certain = [name for law in laws for name in law.certain]
-    return replace(left, depends_on=tuple(dict.fromkeys((*certain, *left.depends_on))))
 
 
 def law_name(formula: str) -> str:
@@ -132,10 +106,6 @@ def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
         "parameters": {"k": {"value": 1.0, "unit": unit_of(formula)} | ({} if _may_give_back(formula) else {"low": 0})},
     }
     return edit.Editing(text).add_effect(entry).text, name
-
-
-def _about_motion(formula: str) -> bool:
-    return bool(compile_expression(formula).names & {"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"})
 
 
 def _may_give_back(formula: str) -> bool:
@@ -177,19 +147,3 @@ def as_finding(law: Proposal) -> Finding:
         heldout_rmse_before_w=before,
         heldout_rmse_after_w=after,
     )
-
-
-def something_else(laws: Sequence[Proposal], effects: Sequence[Finding], features: Features) -> bool:
-    """Whether a proposed law reads quantities that no single named effect reads; else it is the form of that effect,
-    told beside it."""
-    known = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
-    return any(not any({logged_name(v) for v in law.first.variables} <= own for own in known) for law in laws)
-
-
-def beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -> str:
-    """In words, that a law of another form reads what an effect goes by, which may then stand for a part of it."""
-    goes_by = {logged_name(c.covariate) for c in features.candidates if c.effect == effect.effect}
-    shared = [name for law in laws for name in law.first.variables if name in goes_by]
-    if not shared:
-        return effect.remark
-    return f"a law of {plain(shared[0])} explains beside it what that effect cannot"

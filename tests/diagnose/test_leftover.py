@@ -7,8 +7,9 @@ import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.leftover import Leftover, beyond_note, fed_note, standing_out
+from missionsim.diagnose.leftover import beyond_note, fed_note, standing_out
 from missionsim.diagnose.split import Split
+from missionsim.identify.findings import Structure
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
@@ -23,7 +24,7 @@ ROBOT = "pioneer3dx"
 
 def left_over(
     here_w: float, *, runs: int = 4, part: float = 0.09, noise_w: float = 1.0, flip: bool = False, uneven: float = 0.0
-) -> Leftover | None:
+) -> Structure | None:
     """The judgement on noise with a mean error in some rows of each run."""
     rng = np.random.default_rng(5)
     count = 500 * runs
@@ -33,20 +34,20 @@ def left_over(
     error_w = rng.normal(0.0, noise_w, count) + here * here_w * sign * (1.0 + uneven * (1.5 - run))
     rows = np.zeros((len(MOTIONS), count), dtype=bool)
     rows[SLOWING], rows[[0, 1], :] = here, ~here & (np.arange(count) % 2 == [[0], [1]])
-    return standing_out(error_w, np.ones(count), run, rows, noise_w)
+    return standing_out(error_w, np.ones(count), run, rows, noise_w=noise_w, mean_power_w=20.0)
 
 
 def test_most_of_the_error_in_little_time_is_told() -> None:
     found = left_over(12.0)
     assert found is not None
-    assert found.structure(20.0).covariate == "accel_m_s2"
-    assert found.told == (
+    assert found.covariate == "accel_m_s2"
+    assert found.shape == (
         "a systematic error while slowing down, model 12 W too high: 94 % of the squared "
         "error in 9 % of the time; no effect of the library describes it"
     )
     low = left_over(-12.0)
     assert low is not None
-    assert "model 12 W too low" in low.told
+    assert "model 12 W too low" in low.shape
     assert left_over(12.0, uneven=0.1) is not None
 
 
