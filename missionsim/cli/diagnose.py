@@ -11,13 +11,12 @@ from missionsim import __version__
 from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
 from missionsim.diagnose import diagnose_files, sentences, words
 from missionsim.diagnose.adopt import NotSignificant, adopt
-from missionsim.diagnose.examine import examine
+from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.improve import improve as run_improve
 from missionsim.diagnose.proposed import called, formula_of, proposed_laws, with_candidate
 from missionsim.diagnose.sentences import worse
 from missionsim.diagnose.split import Split
-from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import energy_note, measured_note
 from missionsim.diagnose.words import heldout_line
 from missionsim.errors import InputError

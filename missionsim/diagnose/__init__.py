@@ -8,7 +8,7 @@ from missionsim import command_package
 
 if TYPE_CHECKING:
     from missionsim.diagnose.diagnosis import diagnose, diagnose_files
-    from missionsim.diagnose.subject import Subject
+    from missionsim.diagnose.examine import Subject
     from missionsim.identify.findings import Diagnosis
 
 __all__ = ["Diagnosis", "Subject", "diagnose", "diagnose_files"]

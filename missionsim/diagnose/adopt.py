@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.diagnose.examine import Examined, examine
-from missionsim.diagnose.heldout import KINDS, Models
+from missionsim.diagnose.examine import Examined, Subject, examine
+from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.split import Split
-from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
@@ -145,7 +144,7 @@ def adopt(
     new, base = write(text, robot, models, [found], fitted, split, significant=significant)
     held = [log for log in split.heldout if battery in log.power_w]
     powers = (subject.model, models.fit(()).model, fitted.model)
-    heldout = models.held_out(dict(zip(KINDS, powers, strict=True)), held, split.how, split.shifted) if held else None
+    heldout = models.held_out(powers, held, split.how, split.shifted) if held else None
     meter = fitted.model.meter(battery)
     return Adopted(new, found, significant, reason, found.indistinguishable_from, base, heldout, meter)
 

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.diagnose.examine import Examined, examine
+from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
-from missionsim.diagnose.heldout import KINDS
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import as_finding as as_law
 from missionsim.diagnose.proposed import proposed_laws, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split
-from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import noted
 from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
@@ -192,10 +190,9 @@ def diagnose_battery(
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     effects, candidates, proposed, fitted = _named(seen, settings, laws, tried)
     fits = (subject.model, models.fit(()).model, fitted.model)
-    powers = dict(zip(KINDS, fits, strict=True))
     heldout: HeldOut | None = None
     if held:
-        heldout = models.held_out(powers, held, split.how, split.shifted)
+        heldout = models.held_out(fits, held, split.how, split.shifted)
         before = models.without(effects, held)
         after = heldout.power_rmse_w["with_effects"]
         effects = tuple(replace(e, heldout_rmse_before_w=before[e.effect], heldout_rmse_after_w=after) for e in effects)

@@ -1,21 +1,122 @@
-"""What the logs say of one battery before anything is told: features, the identification, models to fit with it."""
+"""The robot under diagnosis, and what its logs say of one battery before anything is told."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from missionsim.diagnose.features import Features, at_size, make_features, steady_speed
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.split import Split, lacking, stretches, with_same_causes
-from missionsim.diagnose.subject import Subject, priors_of
+from missionsim.effects.base import Effect
+from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.fit.provenance import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.identification import Identification, identify, refutes
 from missionsim.identify.settings import LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.runs.run import Run
+
+if TYPE_CHECKING:
+    from missionsim.effects.model import ModelParameter
+    from missionsim.inputs.robot import RobotSpec
+
+NO_PRIOR_SD = float("inf")
+"""Prior of a parameter that was fitted to these very logs: they may not count twice."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A robot under diagnosis: its file, power model, own candidate effects."""
+
+    name: str
+    model: PowerModel
+    sources: Mapping[str, str]
+    """Key of the robot file's ``sources`` → text."""
+    own: Mapping[str, tuple[Effect, ...]]
+    """Effects of the file that are candidates only. Mapping of battery to tuple of Effect."""
+    switchable: Mapping[str, tuple[str, ...]]
+    """Components that can be switched and that the battery feeds. Mapping of battery to tuple of str."""
+    limits: Mapping[str, float]
+    """``max_speed``, ``max_yaw_rate``, ``acceleration``."""
+    priors: Mapping[str, float] | None = None
+    """Relative prior standard deviations by parameter, in place of the file's."""
+
+    @classmethod
+    def of(
+        cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
+    ) -> Subject:
+        """The subject of a robot file."""
+        from missionsim.inputs.power import build_effect, build_power_model
+
+        own: dict[str, list[Effect]] = {}
+        for spec in robot.effects:
+            if spec.candidate:
+                own.setdefault(spec.battery, []).append(build_effect(spec, robot))
+        switchable = {
+            battery: tuple(
+                name
+                for name, component in robot.components.items()
+                if not component.always_on and any(load.battery == battery for load in component.loads)
+            )
+            for battery in robot.batteries
+        }
+        body = robot.body
+        limits = {"max_speed": body.max_speed.value, "max_yaw_rate": body.max_yaw_rate.value}
+        if body.max_acceleration is not None:
+            limits["acceleration"] = body.max_acceleration.value
+        return cls(
+            robot.name,
+            model or build_power_model(robot),
+            dict(robot.sources),
+            {battery: tuple(effects) for battery, effects in own.items()},
+            switchable,
+            limits,
+            priors,
+        )
+
+    def unknown(self) -> Subject:
+        """The robot as one of whose base nothing is known beside the logs."""
+        priors = {t.name_of(n): NO_PRIOR_SD for t in self.model.terms if t.base for n in t.parameters}
+        return replace(self, priors=priors)
+
+
+def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Run]) -> float:
+    """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs.
+
+    What was fitted to other logs is known less well here than there, see `missionsim.fit.provenance.sd_on_other_logs`.
+    """
+    source = subject.sources.get(parameter.source, parameter.source)
+    return NO_PRIOR_SD if fitted_to(source, logs) else sd_on_other_logs(parameter.prior_sd, source)
+
+
+def of_formula(parameter: ModelParameter) -> bool:
+    """Whether a parameter is one of several in the formula of motion, and no power of its own."""
+    return parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
+
+
+def _priors_of(subject: Subject, features: Features, logs: Sequence[Run]) -> dict[str, float]:
+    """Priors of the base parameters; for those that were fitted to these very logs, so wide that they say nothing.
+
+    Parameters of one formula of motion share its power among them as what is missing bends it, so that one may make all
+    the power even where it now makes hardly any. Power at rest and of components has rows of its own.
+    """
+    priors = {}
+    for name, parameter in features.parameters.items():
+        given = (subject.priors or {}).get(name, prior_before(subject, parameter, logs))
+        given = float(np.hypot(given, features.steady.get(name, 0.0)))
+        priors[name] = max(given, 1e-6) if given < NO_PRIOR_SD else LEAST_FREE_SD  # 0 is as good as known
+        if given < NO_PRIOR_SD or not of_formula(parameter):
+            continue
+        parts = [float(np.mean(np.abs(run.gradient[name]))) for run in features.runs if name in run.gradient]
+        size = float(np.mean(parts)) if parts else 0.0
+        if size > 0.0:
+            power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in features.runs]))
+            priors[name] = max(LEAST_FREE_SD, power / size)
+    return priors
 
 
 @dataclass(frozen=True)
@@ -34,66 +135,52 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     measured = [log for log in split.train if battery in log.power_w]
     train, left_out = with_same_causes(measured, batteries, own)
     train, thinned = stretches(train)
-    features = _features(subject, [steady_speed(log) for log in train], battery)
-    features = replace(features, prior_sd=priors_of(subject, features, split.train))
+    switchable = subject.switchable.get(battery, ())
+    features = make_features(subject.model, [steady_speed(log) for log in train], battery, own, switchable=switchable)
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
         raise InputError.single(
             f"battery '{battery}': the measured power never changes in any run, so that nothing can be learned from it",
             got=f"{features.runs[0].measured_w[0]:g} W in every row",
             allowed="a meter that is not frozen",
         )
+
+    def identified(robot: Subject, seen: Features) -> tuple[Features, Identification]:
+        seen = replace(seen, prior_sd=_priors_of(robot, seen, split.train))
+        return seen, identify(seen.runs, seen.candidates, seen.prior_sd, settings)
+
     try:
-        found = identify(features.runs, features.candidates, features.prior_sd, settings)
+        features, found = identified(subject, features)
         if found.base_doubtful(settings) and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
-            free = priors_of(subject.unknown(), features, split.train)
-            other = identify(features.runs, features.candidates, free, settings)
+            free, other = identified(subject.unknown(), features)
             if refutes(other, found):  # held near the file, the base would leave its part to the effects
                 subject, found = subject.unknown(), other
-                features = replace(features, prior_sd=free, given_sd=features.prior_sd)
+                features = replace(free, given_sd=features.prior_sd)
         if sum(features.steady.get(one.parameter, 0.0) * one.shift for one in found.recalibration) < 0.0:
             # a component that may be on draws something; where less is drawn than modelled, it is no reason
-            features = replace(features, steady={})
-            features = replace(features, prior_sd=priors_of(subject, features, split.train))
-            found = identify(features.runs, features.candidates, features.prior_sd, settings)
+            features, found = identified(subject, replace(features, steady={}))
         used: dict[str, float] = {}
         for _ in range(MOST_PASSES):
-            sizes = _limited(found, features)
+            # sizes of the effects whose power is limited by what the drive can give back, where that limit is not
+            # proportional to the size (see `missionsim.physics.motion.relieved_part`)
+            model, sizes = found.choice.model, dict[str, float]()
+            for k in model.chosen:
+                candidate = features.candidates[model.design.layout.columns[k].candidate]
+                size = found.choice.evidence[k].share * model.design.layout.unit(k)
+                if features.effects[candidate.effect].recovers and not candidate.shape and size > 0.0:
+                    sizes[candidate.effect] = max(size, 1.0)
             if all(abs(size / used.get(name, 1.0) - 1.0) < SAME_SIZE for name, size in sizes.items()):
                 break
-            features, used = at_size(features, sizes), sizes
-            found = identify(features.runs, features.candidates, features.prior_sd, settings)
+            features, found = identified(subject, at_size(features, sizes))
+            used = sizes
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
     remarks = [told for told in (left_out, thinned) if told]
-    needed = [features.effects[effect.effect] for effect in found.effects]
-    held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
-    untested = lacking(held, needed, batteries, train)
-    held = [log for log in held if log.run not in untested]
+    names = {log.run for log in train}
+    held = [log for log in split.heldout if battery in log.power_w]
+    held = [replace(log, run=f"held-out {log.run}") if log.run in names else log for log in held]
+    untested = lacking(held, [features.effects[effect.effect] for effect in found.effects], batteries, train)
     for run, columns in untested.items():
         remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
     models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
-    return Examined(replace(features, remarks=(*features.remarks, *remarks)), found, models, tuple(held))
-
-
-def _features(subject: Subject, runs: Sequence[Run], battery: str) -> Features:
-    own, switchable = subject.own.get(battery, ()), subject.switchable.get(battery, ())
-    return make_features(subject.model, runs, battery, own, switchable=switchable)
-
-
-def _limited(found: Identification, features: Features) -> dict[str, float]:
-    """Sizes in the model of the effects whose power is limited by what the drive can give back, where that limit is not
-    proportional to the size (see `missionsim.physics.motion.relieved_part`)."""
-    model = found.choice.model
-    layout = model.design.layout
-    sizes: dict[str, float] = {}
-    for k in model.chosen:
-        column = layout.columns[k]
-        name = features.candidates[column.candidate].effect
-        size = found.choice.evidence[k].share * layout.unit(k)
-        if features.effects[name].recovers and not features.candidates[column.candidate].shape and size > 0.0:
-            sizes[name] = max(size, 1.0)
-    return sizes
-
-
-def _renamed(log: Run, taken: set[str]) -> Run:
-    return replace(log, run=f"held-out {log.run}") if log.run in taken else log
+    features = replace(features, remarks=(*features.remarks, *remarks))
+    return Examined(features, found, models, tuple(log for log in held if log.run not in untested))

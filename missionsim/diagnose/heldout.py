@@ -6,7 +6,7 @@ names them, and every held-out error is theirs, measured as `missionsim.runs.err
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -65,19 +65,36 @@ class Models:
         numbers = [(effect.effect, *((n, e.value) for n, e in effect.parameters.items())) for effect in effects]
         names = None if runs is None else tuple(run.run for run in runs)
         asked = (tuple(numbers), names, fixed, keep_base)
-        if asked not in self._fits:
-            self._fits[asked] = self._fitted(effects, self.runs if runs is None else runs, fixed, keep_base)
-        return self._fits[asked]
-
-    def _fitted(self, effects: Sequence[Finding], runs: Sequence[Run], fixed: bool, keep_base: bool) -> FinalFit:
-        terms = [self._term(effect) for effect in effects if not self.lowers(effect)]
-        priors = dict(self.features.prior_sd)
-        priors |= {twin: FREE_SD for effect in effects if (twin := self.lowers(effect))}
+        if asked in self._fits:
+            return self._fits[asked]
+        terms, priors = [], dict(self.features.prior_sd)
+        for effect in effects:
+            if twin := self.lowers(effect):
+                priors[twin] = FREE_SD
+                continue
+            if effect.effect in FLOORS:  # scrub by floor is a hypothesis only after scrub was found
+                own = get_effect(effect.effect, tuple(name.removeprefix("k_") for name in effect.parameters))
+            else:
+                own = self.features.effects[effect.effect]
+            values = {name: ModelParameter(e.value or 1e-9, e.unit) for name, e in effect.parameters.items()}
+            asked_of = (s for s in own.shape if s.name not in values and s.grid and not s.optional)
+            values |= {s.name: ModelParameter(s.default, s.unit) for s in asked_of}
+            terms.append(Term(TermKey(self.battery, own.component, effect.effect), own, values, base=False))
         model = replace(self.power, terms=(*self.power.terms, *terms))
         kept = [name for name, parameter in self.features.parameters.items() if not parameter.path]
         if fixed:
             kept += [term.name_of(name) for term in terms for name in term.parameters]
-        return final_fit(model, runs, self.battery, priors, self.clock, self.settings, fixed=kept, keep_base=keep_base)
+        self._fits[asked] = final_fit(
+            model,
+            self.runs if runs is None else runs,
+            self.battery,
+            priors,
+            self.clock,
+            self.settings,
+            fixed=kept,
+            keep_base=keep_base,
+        )
+        return self._fits[asked]
 
     @cached_property
     def unheld(self) -> Models:
@@ -93,7 +110,24 @@ class Models:
 
     def told(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
         """The effects with the coefficients of a fit; their intervals hold the noise model's and those of the runs."""
-        return tuple(effect if self.lowers(effect) else _with_values(effect, fitted) for effect in effects)
+        told = []
+        for effect in effects:
+            if self.lowers(effect):
+                told.append(effect)
+                continue
+            parameters = dict(effect.parameters)
+            for name, old in effect.parameters.items():
+                if (new := fitted.values.get(f"{effect.effect}.{name}")) is not None:
+                    half = max(0.5 * (old.high - old.low), Z95 * new.sd)
+                    parameters[name] = Estimate(new.value, new.value - half, new.value + half, old.unit)
+            sizes = [n for n in parameters if n != "regeneration" and f"{effect.effect}.{n}" in fitted.values]
+            before, after = (sum(some[n].value for n in sizes) for some in (effect.parameters, parameters))
+            times = after / before if before else 1.0
+            reach = 0.5 * (effect.share_high - effect.share_low) * max(1.0, abs(times))
+            share = effect.energy_share * times
+            low, high = share - reach, share + reach
+            told.append(replace(effect, parameters=parameters, energy_share=share, share_low=low, share_high=high))
+        return tuple(told)
 
     def of_all_braking(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
         """The effects as they act where braking first relieves the drive, if that predicts left-out runs better.
@@ -135,20 +169,18 @@ class Models:
     ) -> tuple[tuple[Finding, ...], FinalFit]:
         """The effects with the coefficients of the last fit, and that fit; what came to nothing in it goes again, but
         for the first `spared` of at least some share of the energy."""
+        labels = {c.effect for c in self.features.candidates if c.levels}
         while True:
             fitted = self.fit(effects)
             told = self.told(effects, fitted)
             asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
             nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
             # levels of a label may differ and sum to nothing
-            nothing = [one for one in nothing if not (self._of_label(one) and self._needed(one, told))]
+            nothing = [one for one in nothing if one.effect not in labels or not self._needed(one, told)]
             if not nothing:
                 return told, fitted
             smallest = min(nothing, key=lambda one: abs(one.energy_share)).effect
             effects = [one for one in effects if one.effect != smallest]
-
-    def _of_label(self, effect: Finding) -> bool:
-        return any(c.effect == effect.effect and c.levels for c in self.features.candidates)
 
     def _needed(self, effect: Finding, effects: Sequence[Finding]) -> bool:
         """Whether other runs are predicted clearly worse without it."""
@@ -159,16 +191,12 @@ class Models:
         """Errors of a model on runs."""
         return errors_of(model, runs, self.battery)
 
-    def held_out(self, fits: Mapping[str, PowerModel], runs: Sequence[Run], how: str, shifted: bool = False) -> HeldOut:
-        """Errors of models, by `KINDS`, on runs that they were not fitted to."""
-        errors = {kind: self.errors(model, runs) for kind, model in fits.items()}
-        return HeldOut(
-            how,
-            tuple(run.run for run in runs),
-            {kind: one.run_energy_error_pct for kind, one in errors.items()},
-            {kind: one.power_rmse_w for kind, one in errors.items()},
-            shifted,
-        )
+    def held_out(self, models: Sequence[PowerModel], runs: Sequence[Run], how: str, shifted: bool = False) -> HeldOut:
+        """Errors of models, in the order of `KINDS`, on runs that they were not fitted to."""
+        errors = {kind: self.errors(model, runs) for kind, model in zip(KINDS, models, strict=True)}
+        energy_pct = {kind: one.run_energy_error_pct for kind, one in errors.items()}
+        rmse_w = {kind: one.power_rmse_w for kind, one in errors.items()}
+        return HeldOut(how, tuple(run.run for run in runs), energy_pct, rmse_w, shifted)
 
     def without(self, effects: Sequence[Finding], runs: Sequence[Run]) -> dict[str, float]:
         """Power RMSE on runs with every effect but one, the rest fitted again, by the effect that is left out [W]."""
@@ -178,20 +206,11 @@ class Models:
             found[one.effect] = self.errors(self.fit(rest).model, runs).power_rmse_w
         return found
 
-    def left_out(self, effects: Sequence[Finding], names: Sequence[str], how: str) -> HeldOut:
-        """Leave some of the fitted runs out, fit sizes of effects and base to the others, predict those.
-
-        Names of effects, clock and shapes stay those of all runs; nothing else of the left-out runs is used.
-        """
-        kept = [run for run in self.runs if run.run not in names]
-        models = (self.power, self.fit((), runs=kept).model, self.fit(effects, runs=kept).model)
-        out = [run for run in self.runs if run.run in names]
-        return self.held_out(dict(zip(KINDS, models, strict=True)), out, how, True)
-
     def shifted(self, effects: Sequence[Finding]) -> HeldOut | None:
-        """The same test on runs that differ in kind: those with most of the main effect's covariate are left out.
+        """Errors on runs that differ in kind: those with most of the main effect's covariate are left out.
 
-        Only where enough runs differ in it; the size of effects and base is fitted again on the others.
+        Only where enough runs differ in it. Sizes of effects and base are fitted again on the others; names of effects,
+        clock and shapes stay those of all runs.
         """
         features = self.features
         if not effects or len(features.runs) < SHIFTED_RUNS:
@@ -211,23 +230,25 @@ class Models:
             and level[held].mean() < SHIFTED_MEAN_RATIO * level[kept].mean()
         ):
             return None
+        names = [features.runs[i].run for i in held]
+        others, out = ([run for run in self.runs if (run.run in names) == left] for left in (False, True))
+        models = (self.power, self.fit((), runs=others).model, self.fit(effects, runs=others).model)
         how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
-        return self.left_out(effects, [features.runs[i].run for i in held], how)
+        return self.held_out(models, out, how, True)
 
     def recalibrated(self, fitted: FinalFit) -> tuple[Recalibrated, ...]:
         """Shifts of the base parameters with their values, largest first in prior standard deviations."""
-        rows = []
+        prior_sd, rows = self.features.given_sd or self.features.prior_sd, []
         for name, new in fitted.values.items():
-            own = self.features.parameters.get(name)
-            if own is None:
+            if (own := self.features.parameters.get(name)) is None:
                 continue
-            shift, sd = new.value / own.value - 1.0, new.sd / abs(own.value)
+            shift = new.value / own.value - 1.0
             rows.append(
                 Recalibrated(
                     parameter=name,
                     shift=shift,
-                    shift_sd=sd,
-                    shift_in_prior_sd=shift / (self.features.given_sd or self.features.prior_sd)[name],
+                    shift_sd=new.sd / abs(own.value),
+                    shift_in_prior_sd=shift / prior_sd[name],
                     value=new.value,
                     sd=new.sd,
                     unit=own.unit,
@@ -239,32 +260,3 @@ class Models:
         """Power of a model at the rate of the analysis [W], shape (n,)."""
         raw = [drive(model, self.runs[i], self.battery).row_w(self.battery)[None, :] for i in source.kept]
         return np.asarray(source.averaged(raw, clock)[0])
-
-    def _term(self, effect: Finding) -> Term:
-        if effect.effect in FLOORS:  # scrub by floor is a hypothesis only after scrub was found
-            own = get_effect(effect.effect, tuple(name.removeprefix("k_") for name in effect.parameters))
-        else:
-            own = self.features.effects[effect.effect]
-        values = {name: ModelParameter(e.value or 1e-9, e.unit) for name, e in effect.parameters.items()}
-        values |= {
-            s.name: ModelParameter(s.default, s.unit)
-            for s in own.shape
-            if s.name not in values and s.grid and not s.optional
-        }
-        return Term(TermKey(self.battery, own.component, effect.effect), own, values, base=False)
-
-
-def _with_values(effect: Finding, fitted: FinalFit) -> Finding:
-    parameters = dict(effect.parameters)
-    sizes = [n for n in parameters if n != "regeneration" and f"{effect.effect}.{n}" in fitted.values]
-    before = sum(parameters[name].value for name in sizes)
-    for name, old in effect.parameters.items():
-        new = fitted.values.get(f"{effect.effect}.{name}")
-        if new is not None:
-            half = max(0.5 * (old.high - old.low), Z95 * new.sd)
-            parameters[name] = Estimate(new.value, new.value - half, new.value + half, old.unit)
-    after = sum(parameters[name].value for name in sizes)
-    times = after / before if before else 1.0
-    reach = 0.5 * (effect.share_high - effect.share_low) * max(1.0, abs(times))
-    share = effect.energy_share * times
-    return replace(effect, parameters=parameters, energy_share=share, share_low=share - reach, share_high=share + reach)

@@ -11,13 +11,12 @@ from typing import Any
 
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.examine import examine
+from missionsim.diagnose.examine import NO_PRIOR_SD, Subject, examine, prior_before
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import beyond_note, fed_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
-from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
 from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from missionsim.diagnose import diagnose_files, experiments
+from missionsim.diagnose.examine import Subject
 from missionsim.diagnose.experiments import imagined_run, power_of
 from missionsim.diagnose.features import make_features
 from missionsim.diagnose.manoeuvres import Part, library, script, site_of
-from missionsim.diagnose.subject import Subject
 from missionsim.effects.covariates import derive
 from missionsim.inputs.loading import load_robot
 from missionsim.labels import Labels

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionsim.diagnose.examine import examine
+from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.features import Features, make_features, steady_speed
 from missionsim.diagnose.split import Split
-from missionsim.diagnose.subject import Subject
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.settings import Settings

@@ -13,11 +13,10 @@ import pytest
 from missionsim.compare import compare_files
 from missionsim.diagnose.adopt import adopt
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.examine import examine
+from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.sentences import sure
 from missionsim.diagnose.split import Split
-from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import measured_note
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, Term, TermKey

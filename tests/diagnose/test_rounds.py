@@ -143,7 +143,7 @@ class Fitted(Told):
     features: Any = None
 
     certain = Models.certain
-    _of_label, _needed = Models._of_label, Models._needed
+    _needed = Models._needed
 
     def fit(self, effects: Sequence[Finding]) -> None:
         return None

@@ -126,5 +126,11 @@ def test_the_runs_with_most_of_what_an_effect_is_about_are_predicted_from_the_ot
     ]
     effect = SimpleNamespace(effect="payload", covariate="payload_kg")
     features = SimpleNamespace(runs=runs, candidates=[effect], covariates=[run.covariates for run in runs])
-    models = SimpleNamespace(features=features, left_out=lambda _effects, names, _how: names)
+    models = SimpleNamespace(
+        features=features,
+        runs=runs,
+        power=None,
+        fit=lambda _effects, runs: SimpleNamespace(model=None),
+        held_out=lambda _models, out, _how, _shifted: [run.run for run in out],
+    )
     assert Models.shifted(models, [effect]) == left_out
