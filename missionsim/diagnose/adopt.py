@@ -16,14 +16,13 @@ from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
-from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash, ranges_of
+from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, log_hash, ranges_of
 from missionsim.identify.findings import Finding, HeldOut
-from missionsim.identify.identification import Identification, fit_effects
+from missionsim.identify.identification import fit_effects
 from missionsim.identify.settings import Settings
 from missionsim.physics.lag import Meter
 
 if TYPE_CHECKING:
-    from missionsim.effects.model import ModelParameter
     from missionsim.inputs.robot import RobotSpec
 
 METER_ALLOWANCE = 0.01
@@ -132,7 +131,8 @@ def adopt(
             allowed=", ".join(known),
             hint=did_you_mean(effect, known),
         )
-    found, together, significant, reason = _fit(seen, effect, settings)
+    found, together, reason = _supported(seen, effect, settings)
+    significant = not reason
     if not significant and not force:
         raise NotSignificant(reason)
     models = seen.models
@@ -172,20 +172,49 @@ def write(
         for name, new in fitted.values.items()
         if name in known
     }
-    updates = {known[name].path: _of_file(known[name], value, sd) for name, (value, sd) in base.items()}
+    updates = {known[name].path: as_fitted(known[name], value, sd) for name, (value, sd) in base.items()}
     editing = edit.Editing(text).set_values(updates)
     # less of something than the file says: the base itself is smaller, there is no effect to add
     written = [one for one in effects if not models.lowers(one)]
     names = [one.effect for one in written]
-    for i, spec in reversed(list(enumerate(robot.effects))):
-        if spec.candidate and spec.name in names and spec.battery == models.battery:
-            editing.remove_effect(i)
+    own = [
+        (i, spec)
+        for i, spec in enumerate(robot.effects)
+        if spec.candidate and spec.name in names and spec.battery == models.battery
+    ]
+    for i, _ in reversed(own):
+        editing.remove_effect(i)
     for one in written:
-        editing.add_effect(_entry(robot, one, split, models.battery, significant))
+        parameters = {
+            name: {
+                "value": p.value,
+                "sd": max((p.high - p.low) / 3.92, 1e-9),
+                "unit": p.unit,
+                "status": "fitted",
+                "source": CALIBRATION,
+            }
+            for name, p in one.parameters.items()
+        }
+        origin: dict[str, Any] = {
+            "by": "missionsim add-effect",
+            "date": dt.datetime.now(dt.UTC).date().isoformat(),
+            "runs": [log.run for log in split.train],
+            "sha256": [log_hash(log) for log in split.train],
+            "range": ranges_of(split.train),
+            "p_value": one.p_value,
+            "energy_share": one.energy_share,
+        }
+        if one.indistinguishable_from:
+            origin["cannot_be_told_from"] = list(one.indistinguishable_from)
+        if not significant:
+            origin["forced"] = True
+        entry: dict[str, Any] = {"effect": one.effect, "battery": models.battery}
+        if candidate := next((spec for _, spec in own if spec.name == one.effect), None):
+            power = candidate.power
+            entry = {"name": one.effect, "battery": models.battery, "power": str(getattr(power, "source", power))}
+        editing.add_effect(entry | {"parameters": parameters, "origin": origin})
     editing.set_meter(models.battery, fitted.model.meter(models.battery))
-    count = len(split.train)
-    told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
-    return editing.set_source(CALIBRATION, told).text, base
+    return editing.set_source(CALIBRATION, fitted_source(split.train)).text, base
 
 
 def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> None:
@@ -220,11 +249,11 @@ def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> No
         )
 
 
-def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], bool, str]:
-    """The effect, everything that it is fitted beside, whether the logs support it, and why not."""
+def _supported(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], str]:
+    """The effect, everything that it is fitted beside, and why the logs do not support it; empty where they do."""
     inside = next((e for e in seen.found.effects if e.effect == effect), None)
     if inside is not None:
-        return inside, seen.found.effects, True, ""
+        return inside, seen.found.effects, ""
     others = [e.effect for e in seen.found.effects if effect not in e.indistinguishable_from]
     features = seen.features
     try:
@@ -232,72 +261,18 @@ def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tupl
     except ValueError as error:
         raise InputError.single(str(error), got=effect) from error
     found = next(e for e in fitted.effects if e.effect == effect)
-    return found, fitted.effects, *_supported(seen, fitted, effect)
-
-
-def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[bool, str]:
+    columns = fitted.choice.model.design.layout.columns
+    own = [(fitted.library[columns[k].candidate], fitted.choice.evidence[k]) for k in fitted.choice.model.chosen]
+    own = [(candidate, evidence) for candidate, evidence in own if candidate.effect == effect]
+    right_sign = all(one.sign == 0 or one.sign * evidence.share > 0 for one, evidence in own)
+    is_rival = any(effect in e.indistinguishable_from for e in seen.found.effects)
+    if right_sign and is_rival and any(evidence.accepted for _, evidence in own):
+        return found, fitted.effects, ""
     searched = next(c for c in seen.found.candidates if c.effect == effect)
-    rival_of = [e.effect for e in seen.found.effects if effect in e.indistinguishable_from]
-    layout = fitted.choice.model.design.layout
-    own = [k for k in fitted.choice.model.chosen if fitted.library[layout.columns[k].candidate].effect == effect]
-    right_sign = all(
-        (fitted.library[layout.columns[k].candidate].sign or 1) * fitted.choice.evidence[k].share > 0
-        or fitted.library[layout.columns[k].candidate].sign == 0
-        for k in own
-    )
-    if right_sign and any(fitted.choice.evidence[k].accepted for k in own) and rival_of:
-        return True, ""
     limit = searched.smallest_detectable_share
     told = f"{effect} is not supported by these logs: {searched.reason}"
     if not right_sign:
         told += "; its coefficient comes out with the wrong sign"
     if limit is not None and effect not in seen.found.demoted:
         told += f"; less than {100 * limit:.1f} % of the energy would not be seen"
-    return False, told
-
-
-def _of_file(parameter: ModelParameter, value: float, sd: float) -> dict[str, Any]:
-    """A fitted value as its file has it: of one unit, where the model has all units of a component."""
-    return {
-        "value": value / parameter.times,
-        "sd": sd / parameter.times,
-        "status": "fitted",
-        "source": CALIBRATION,
-        "note": f"{parameter.value / parameter.times:.6g} before",
-    }
-
-
-def _entry(robot: RobotSpec, found: Finding, split: Split, battery: str, significant: bool) -> dict[str, Any]:
-    parameters = {
-        name: {
-            "value": p.value,
-            "sd": max((p.high - p.low) / 3.92, 1e-9),
-            "unit": p.unit,
-            "status": "fitted",
-            "source": CALIBRATION,
-        }
-        for name, p in found.parameters.items()
-    }
-    origin: dict[str, Any] = {
-        "by": "missionsim add-effect",
-        "date": dt.datetime.now(dt.UTC).date().isoformat(),
-        "runs": [log.run for log in split.train],
-        "sha256": [log_hash(log) for log in split.train],
-        "range": ranges_of(split.train),
-        "p_value": found.p_value,
-        "energy_share": found.energy_share,
-    }
-    if found.indistinguishable_from:
-        origin["cannot_be_told_from"] = list(found.indistinguishable_from)
-    if not significant:
-        origin["forced"] = True
-    own = next((e for e in robot.effects if e.candidate and e.name == found.effect and e.battery == battery), None)
-    if own is not None:
-        return {
-            "name": own.name,
-            "battery": battery,
-            "power": str(getattr(own.power, "source", own.power)),
-            "parameters": parameters,
-            "origin": origin,
-        }
-    return {"effect": found.effect, "battery": battery, "parameters": parameters, "origin": origin}
+    return found, fitted.effects, told

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
@@ -122,19 +121,6 @@ class State:
         free = unsure and self.models.unheld.of_others(()) < (1.0 - CLEARLY) * self.models.of_others(())
         return self.models.unheld if free else self.models
 
-    def clocked(self) -> State | None:
-        """At the clock that is seen beside what was added, where left-out runs say so; no meter is ahead of it."""
-        new, old = self.last.clock, self.models.clock
-        if (
-            new is None
-            or new.delay_s < 0.0
-            or max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_MOVES_S
-        ):
-            return None
-        later = replace(self.models, clock=new.in_all(len(self.models.runs)), _fits={})
-        better = later.of_others(self.taken) < (1.0 - CLEARLY) * self.models.of_others(self.taken)
-        return replace(self, models=later) if better else None
-
 
 class Rounds:
     """What the user agrees to goes in, round after round: what the library names, then laws."""
@@ -156,12 +142,7 @@ class Rounds:
         """The last state, or one before it that predicts parts of the runs clearly better from the others."""
         states = []
         for turn in range(MOST_ROUNDS + 1):
-            if self.state.taken and (later := self.state.clocked()) is not None:
-                self.library = replace(
-                    self.library, models=replace(self.library.models, clock=later.models.clock, _fits={})
-                )
-                self.state = later
-                self.settle(*self.together(later, later.taken))
+            self.reclock()
             if self.state.taken:
                 states.append((self.state.models.of_others(self.state.taken), self.state))
             if turn == MOST_ROUNDS or not (self.of_library() or self.of_law() or self.of_aside(states)):
@@ -169,6 +150,20 @@ class Rounds:
         best = min(states, key=lambda one: one[0], default=None)
         # what came later, or was looked for once more, may predict other runs less well
         return best[1] if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0] else self.state
+
+    def reclock(self) -> None:
+        """Go on at the clock that is seen beside what was added, if left-out runs say so; no meter is ahead of it."""
+        new, state = self.state.last.clock, self.state
+        old = state.models.clock
+        if not state.taken or new is None or new.delay_s < 0.0:
+            return
+        if max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_MOVES_S:
+            return
+        later = replace(state.models, clock=new.in_all(len(state.models.runs)), _fits={})
+        if later.of_others(state.taken) < (1.0 - CLEARLY) * state.models.of_others(state.taken):
+            self.library = replace(self.library, models=replace(self.library.models, clock=later.clock, _fits={}))
+            self.state = replace(state, models=later)
+            self.settle(*self.together(self.state, state.taken))
 
     def of_library(self) -> bool:
         """Add what the library names anew; whether there was something."""
@@ -248,8 +243,10 @@ class Rounds:
         given, models = self.state.given, self.state.models
         text, _ = write(given, robot_from_text(given), models, effects, fitted, self.split)
         made = robot_from_text(text)
-        # the file's own base values came from these logs: what was known before them stays the prior
-        again = Subject.of(made, priors={**_fitted_priors(made, self.battery), **self.priors})
+        # the file's own values came from these logs: what was known before them stays the prior
+        model = Subject.of(made).model
+        added = {t.name_of(name): NO_PRIOR_SD for t in model.of(self.battery) if not t.base for name in t.parameters}
+        again = Subject.of(made, model, priors={**added, **self.priors})
         tried = {name for name, n in self.nothing.items() if n > 1} | {*self.declined}
         last = diagnose_battery(again, self.split, self.battery, None, self.settings, clock=models.clock, tried=tried)
         self.state = State(text, given, models, last, tuple(effects))
@@ -274,7 +271,12 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     from missionsim.inputs.loading import robot_from_text
 
     start = Subject.of(robot_from_text(text))
-    priors = _own_priors(start, battery, split.train)
+    # what was known before these logs; nothing of parameters that were fitted to them by `calibrate`
+    priors = {
+        term.name_of(name): prior_before(start, parameter, split.train)
+        for term in start.model.of(battery)
+        for name, parameter in term.parameters.items()
+    }
     seen = examine(start, split, battery, settings)
     if seen.features.given_sd:  # refuted
         priors = dict.fromkeys(priors, NO_PRIOR_SD)
@@ -318,21 +320,6 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         untested=untested,
         base_alone=base_alone,
     )
-
-
-def _own_priors(subject: Subject, battery: str, logs: Sequence[Any]) -> dict[str, float]:
-    """What was known before these logs; nothing of parameters that were fitted to them by `calibrate`."""
-    return {
-        term.name_of(name): prior_before(subject, parameter, logs)
-        for term in subject.model.of(battery)
-        for name, parameter in term.parameters.items()
-    }
-
-
-def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
-    """Effects that were fitted to these logs have no prior of their own."""
-    model = Subject.of(robot).model
-    return {term.name_of(name): NO_PRIOR_SD for term in model.of(battery) if not term.base for name in term.parameters}
 
 
 def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str] = (), *, tested: bool = True) -> str:

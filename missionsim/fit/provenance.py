@@ -15,6 +15,7 @@ from missionsim.labels import Labels
 from missionsim.runs.covariates import COVARIATES
 
 if TYPE_CHECKING:
+    from missionsim.effects.model import ModelParameter
     from missionsim.runs.run import Run
 
 MOST_HASHES = 40
@@ -45,6 +46,22 @@ def data_tag(logs: Sequence[Run]) -> str:
     if len(hashes) > MOST_HASHES:
         return hashlib.sha256("".join(hashes).encode()).hexdigest()[:LENGTH]
     return " ".join(digest[:LENGTH] for digest in hashes)
+
+
+def fitted_source(logs: Sequence[Run]) -> str:
+    """What a robot file says of numbers that were fitted to some logs."""
+    return f"fitted to {len(logs)} run{'s' * (len(logs) != 1)}, data {data_tag(logs)}"
+
+
+def as_fitted(parameter: ModelParameter, value: float, sd: float) -> Json:
+    """A fitted value as its file has it: of one unit, where the model has all units of a component."""
+    return {
+        "value": value / parameter.times,
+        "sd": sd / parameter.times,
+        "status": "fitted",
+        "source": CALIBRATION,
+        "note": f"{parameter.value / parameter.times:.6g} before",
+    }
 
 
 def fitted_to(source: str, logs: Iterable[Run]) -> bool:

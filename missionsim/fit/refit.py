@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
 from missionsim.fit.parameters import ModelFit, fit_parameters
-from missionsim.fit.provenance import CALIBRATION, data_tag, fitted_to, ranges_of, sd_on_other_logs
+from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, fitted_to, ranges_of, sd_on_other_logs
 from missionsim.runs.error import errors_of
 from missionsim.runs.run import Run
 
@@ -71,14 +71,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
         for parameter in fit.parameters.values():
             whole = model.parameters[f"{name}/{parameter.name}"]
             if parameter.seen and whole.path:
-                # the file has the power of one unit of a component that is always on, the model that of all
-                updates[whole.path] = {
-                    "value": parameter.value / whole.times,
-                    "sd": parameter.sd / whole.times,
-                    "status": "fitted",
-                    "source": CALIBRATION,
-                    "note": f"{parameter.before / whole.times:.6g} before",
-                }
+                updates[whole.path] = as_fitted(whole, parameter.value, parameter.sd)
     if not fits:
         raise refused[0]
     if twice := [n for n, p in model.parameters.items() if fitted_to(spec.sources.get(p.source, p.source), logs)]:
@@ -88,17 +81,12 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
         )
     editing = edit.Editing(edit.robot_text(robot)).set_values(updates)
     written = build_power_model(robot_from_text(editing.text))
-    fits = [_as_written(fit, written, logs) for fit in fits]
-    count = len(logs)
-    told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}"
-    text = editing.set_source(CALIBRATION, told, ranges_of(logs)).text
+    # what has no place in the file does not move: the errors are those of the file
+    owns = [[log for log in logs if fit.battery in log.power_w] for fit in fits]
+    afters = [errors_of(written, own, fit.battery) for fit, own in zip(fits, owns, strict=True)]
+    fits = [replace(fit, model=written, after=after) for fit, after in zip(fits, afters, strict=True)]
+    text = editing.set_source(CALIBRATION, fitted_source(logs), ranges_of(logs)).text
     return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))
-
-
-def _as_written(fit: ModelFit, written: PowerModel, logs: Sequence[Run]) -> ModelFit:
-    """The fit with the errors of the file: what has no place in it does not move."""
-    own = [log for log in logs if fit.battery in log.power_w]
-    return replace(fit, model=written, after=errors_of(written, own, fit.battery))
 
 
 def _aged(model: PowerModel, sources: Mapping[str, str], logs: Sequence[Run]) -> PowerModel:
