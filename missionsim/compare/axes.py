@@ -6,17 +6,17 @@ the bins shown at the end are made of whole cells of that grid.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from missionsim.effects.covariates import Covariates
 from missionsim.labels import Labels
-from missionsim.physics import Array
+from missionsim.physics import Array, f64
 
 MAX_CELLS = 400
 """Cells of a numeric axis before the grid is made ten times coarser."""
@@ -55,29 +55,40 @@ class _Sums:
     """Sums of weights by cell, a whole number or two, as many as there are cells with rows."""
 
     def __init__(self, *shape: int) -> None:
-        self.cells = np.zeros((0, *shape), dtype=np.int64)
+        self._cells = np.zeros((0, *shape), dtype=np.int64)
         self._sums: dict[str, Array] = {}
 
-    def of(self, key: str) -> Array:
+    def _of(self, key: str) -> Array:
         """Sum of a weight in each cell."""
-        return self._sums.get(key, np.zeros(len(self.cells)))
+        return self._sums.get(key, np.zeros(len(self._cells)))
 
-    def add(self, cells: NDArray[np.int64], sums: Mapping[str, Array]) -> None:
+    def _gather(self, cells: NDArray[np.int64], sums: Mapping[str, Array]) -> None:
         """Add what lies in some cells."""
         new = np.zeros(len(cells))
-        every = {key: np.append(self.of(key), sums.get(key, new)) for key in self._sums | dict(sums)}
-        self.cells, self._sums = _joined(np.concatenate([self.cells, cells]), every)
+        every = {key: np.append(self._of(key), sums.get(key, new)) for key in self._sums | dict(sums)}
+        self._cells, self._sums = _joined(np.concatenate([self._cells, cells]), every)
 
-    def coarsen(self, factor: int) -> None:
+    def _coarsen(self, factor: int) -> None:
         """Make one cell of so many."""
-        self.cells, self._sums = _joined(self.cells // factor, self._sums)
-
-    def joined(self, factor: int, keys: Sequence[str]) -> tuple[NDArray[np.int64], dict[str, Array]]:
-        """Cells that are `factor` as wide, and the sums of some weights in them."""
-        return _joined(self.cells // factor, {key: self.of(key) for key in keys})
+        self._cells, self._sums = _joined(self._cells // factor, self._sums)
 
 
-class NumberAxis:
+class _Axis(_Sums):
+    """A covariate whose values have cells."""
+
+    _offset = 0
+
+    def __init__(self, name: str, title: str, unit: str) -> None:
+        super().__init__()
+        self.name, self.title, self.unit = name, title, unit
+
+    def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
+        """Add each of the `weights` to the sum of its key in the cells given by `place` for the same rows."""
+        met, sums = _by_cell(cells, weights)
+        self._gather(met + self._offset, sums)
+
+
+class NumberAxis(_Axis):
     """A numeric covariate on a decimal grid.
 
     `name`: glossary name of the covariate; `title`, `unit`: for people; `factor`: from the glossary's unit to `unit`
@@ -85,11 +96,9 @@ class NumberAxis:
     """
 
     def __init__(self, name: str, title: str, unit: str, factor: float = 1.0, magnitude: bool = False) -> None:
-        self.name, self.title, self.unit = name, title, unit
+        super().__init__(name, title, unit)
         self._factor, self._magnitude = factor, magnitude
         self._exponent: int | None = None
-        self._offset = 0
-        self._sums = _Sums()
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN. Returns None where no row has a
@@ -109,12 +118,18 @@ class NumberAxis:
             low, high = float(values[known].min()), float(values[known].max())
             values = np.where(known, values, low)
         if self._exponent is None:
-            span = high - low
-            self._exponent = _exponent_of(span / 20.0 if span > 0.0 else 0.1 * low)
-        while self._span(low, high) > MAX_CELLS:
+            width = (high - low) / 20.0 if high > low else 0.1 * low
+            # bounded, so that the inverse of ten to this power is a number
+            self._exponent = max(math.floor(math.log10(abs(width))), -290) if width else 0
+        while True:
+            width, first, last = 10.0**self._exponent, low, high
+            if len(self._cells):
+                first, last = min(low, int(self._cells[0]) * width), max(high, (int(self._cells[-1]) + 1) * width)
+            if (last - first) / width <= MAX_CELLS:
+                break
             self._exponent += 1
-            self._sums.coarsen(10)
-        scale = 10.0**-self._exponent if self._exponent <= 0 else 1.0 / 10.0**self._exponent
+            self._coarsen(10)
+        scale = 10.0**-self._exponent if self._exponent <= 0 else 1.0 / width
         # a value on a cell's edge, such as 0.3, must not fall below it by rounding
         cells = np.floor(values * scale + 1e-9).astype(np.int64)
         self._offset = math.floor(low * scale + 1e-9)
@@ -123,50 +138,40 @@ class NumberAxis:
             cells[~known] = -1
         return cells
 
-    def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
-        """Add each of the `weights` to the sum of its key in the cells given by `place` for the same rows."""
-        met, sums = _by_cell(cells, weights)
-        self._sums.add(met + self._offset, sums)
-
     def bins(
         self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
     ) -> list[Bin]:
         """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out. Bins at the ends with
         less than the share `thin` of the time are joined to their neighbour."""
-        filled = self._sums.cells[self._sums.of(seconds) > 0.0]
+        filled = self._cells[self._of(seconds) > 0.0]
         if self._exponent is None or not filled.size:
             return []
         lowest, highest = int(filled[0]), int(filled[-1])
-        multiple = next(m for m in _round_multiples() if highest // m - lowest // m + 1 <= wanted)
-        index = self._sums.cells // multiple
-        start = int(index[0])
-        totals = [sums_by(index - start, self._sums.of(key)) for key in (seconds, gap, square)]
-        groups = _join_thin_ends(totals[0], thin)
+        round_numbers = (step * 10**power for power in range(20) for step in (1, 2, 5))
+        multiple = next(m for m in round_numbers if highest // m - lowest // m + 1 <= wanted)
         width = multiple * 10.0**self._exponent
-        result = []
-        for members in groups:
-            sums = [float(total[members].sum()) for total in totals]
-            if sums[0] > 0.0:
-                low, high = (start + members[0]) * width, (start + members[-1] + 1) * width
-                result.append(Bin(f"{tidy(low)} to {tidy(high)}", _rounded(low), _rounded(high), *sums))
-        return result
+        cells, sums = _joined(self._cells // multiple, {key: self._of(key) for key in (seconds, gap, square)})
+        cells, totals = cells[sums[seconds] > 0.0], np.stack(list(sums.values()))[:, sums[seconds] > 0.0]
+        time, limit = totals[0], thin * float(totals[0].sum())
+        first, last = 0, len(cells) - 1
+        while first < last and time[: first + 1].sum() < limit:
+            first += 1
+        while last > first and time[last:].sum() < limit:
+            last -= 1
+        found = []
+        for begin, end in itertools.pairwise([0, *range(first + 1, last + 1), len(cells)]):
+            low, high = (_rounded(int(edge) * width) for edge in (cells[begin], cells[end - 1] + 1))
+            named = f"{low:.10g} to {high:.10g}".replace("-", "−")
+            found.append(Bin(named, low, high, *totals[:, begin:end].sum(axis=1).tolist()))
+        return found
 
-    def _span(self, low: float, high: float) -> float:
-        """Cells between two values, or the ends of the axis where these lie further out."""
-        assert self._exponent is not None
-        if len(self._sums.cells):
-            first, last = int(self._sums.cells[0]), int(self._sums.cells[-1])
-            low, high = min(low, first * 10.0**self._exponent), max(high, (last + 1) * 10.0**self._exponent)
-        return (high - low) / 10.0**self._exponent
 
-
-class LabelAxis:
+class LabelAxis(_Axis):
     """A covariate with names or counts for values (surface, scheme, units switched on, run)."""
 
     def __init__(self, name: str, title: str) -> None:
-        self.name, self.title, self.unit = name, title, ""
+        super().__init__(name, title, "")
         self._codes: dict[str, int] = {}
-        self._sums = _Sums()
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Code of each row's value, shape (n,); -1 where it is missing."""
@@ -179,28 +184,15 @@ class LabelAxis:
         low, high = int(whole.min()), int(whole.max())
         if high - low > 1000:
             return None
-        present = np.flatnonzero(np.bincount(whole - low)) + low
         table = np.full(high - low + 1, -1, dtype=np.int64)
-        for value in present:
+        for value in np.flatnonzero(np.bincount(whole - low)) + low:
             table[value - low] = self._code(str(value))
-        codes = table[whole - low]
-        if not known.all():
-            codes[~known] = -1
-        return codes
+        return np.where(known, table[whole - low], -1)
 
-    def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
-        """Add each of the `weights` to the sum of its key in the codes given by `place` for the same rows."""
-        self._sums.add(*_by_cell(cells, weights))
-
-    def bins(
-        self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
-    ) -> list[Bin]:
+    def bins(self, seconds: str, gap: str, square: str, *_: float) -> list[Bin]:
         """One bin per value, in order of appearance (numbers in increasing order)."""
-        names = self.names
-        rows = zip(
-            self._sums.cells.tolist(), *(self._sums.of(key).tolist() for key in (seconds, gap, square)), strict=True
-        )
-        found = {names[code]: sums for code, *sums in rows if sums[0] > 0.0}
+        rows = np.stack([self._of(key) for key in (seconds, gap, square)], axis=1).tolist()
+        found = {self.names[code]: sums for code, sums in zip(self._cells.tolist(), rows, strict=True) if sums[0] > 0.0}
         return [Bin(name, None, None, *found[name]) for name in sorted(found, key=_natural)]
 
     @property
@@ -215,11 +207,6 @@ class LabelAxis:
 Axis = NumberAxis | LabelAxis
 
 
-def tidy(number: float) -> str:
-    """A bin's end as text, free of rounding noise."""
-    return f"{_rounded(number):.10g}".replace("-", "−")
-
-
 def _by_cell(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """Cells with rows, in order, and the sum of each weight in them; rows with cell -1 are left out."""
     low, high = int(cells.min()), int(cells.max())
@@ -229,42 +216,11 @@ def _by_cell(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> tuple[ND
             (cells[:1], {key: values.sum()[None] for key, values in weights.items()}) if low >= 0 else (cells[:0], {})
         )
     met = np.flatnonzero(np.bincount(cells + 1)[1:])
-    return met, {key: sums_by(cells + 1, values)[1 + met] for key, values in weights.items()}
-
-
-def sums_by(index: NDArray[np.int64], weights: Array) -> Array:
-    """Sum of the weights by index, from 0 up to the highest one."""
-    return np.asarray(np.bincount(index, weights), dtype=np.float64)
+    return met, {key: f64(np.bincount(cells + 1, values))[1 + met] for key, values in weights.items()}
 
 
 def _rounded(number: float) -> float:
     return float(f"{number:.10g}") + 0.0
-
-
-def _exponent_of(value: float) -> int:
-    """Power of ten at or below a magnitude; bounded so that its inverse is a number."""
-    return max(math.floor(math.log10(abs(value))), -290) if value else 0
-
-
-def _round_multiples() -> Any:
-    for power in range(0, 20):
-        for step in (1, 2, 5):
-            yield step * 10**power
-
-
-def _join_thin_ends(seconds: Array, thin: float) -> list[list[int]]:
-    """Groups of neighbouring bins: thin ones at either end go to their neighbour."""
-    filled = np.flatnonzero(seconds > 0.0)
-    order = list(range(int(filled[0]), int(filled[-1]) + 1))
-    limit = thin * float(seconds.sum())
-    first, last = 0, len(order) - 1
-    while first < last and seconds[order[: first + 1]].sum() < limit:
-        first += 1
-    while last > first and seconds[order[last:]].sum() < limit:
-        last -= 1
-    if first == last:
-        return [order]
-    return [order[: first + 1], *([k] for k in order[first + 1 : last]), order[last:]]
 
 
 def _natural(name: str) -> tuple[int, float, str]:
@@ -296,12 +252,12 @@ class PlaceCell:
         return f"x {self.x_m:.4g} m, y {self.y_m:.4g} m".replace("-", "−")
 
 
-class PlaceGrid:
+class PlaceGrid(_Sums):
     """Sums per cell of a grid that coarsens as the robot drives."""
 
     def __init__(self) -> None:
+        super().__init__(2)
         self.width_m = FIRST_CELL_M
-        self._sums = _Sums(2)
 
     def add(self, cov: Covariates, weights: Mapping[str, Array]) -> None:
         """Add the `weights` of rows, arrays of shape (n,), at their ``x_m`` and ``y_m``."""
@@ -315,19 +271,19 @@ class PlaceGrid:
             at, weights = at[:, known], {key: values[known] for key, values in weights.items()}
         while True:
             cells = np.floor(at / self.width_m).astype(np.int64)
-            ends = np.concatenate([self._sums.cells, [cells.min(axis=1), cells.max(axis=1)]])
+            ends = np.concatenate([self._cells, [cells.min(axis=1), cells.max(axis=1)]])
             low, sides = ends.min(axis=0), np.ptp(ends, axis=0) + 1
             if sides.max() <= MAX_SIDE:
                 break
             self.width_m *= 2.0
-            self._sums.coarsen(2)
+            self._coarsen(2)
         met, sums = _by_cell((cells[0] - low[0]) * sides[1] + (cells[1] - low[1]), weights)
-        self._sums.add(np.stack(np.divmod(met, sides[1]), axis=1) + low, sums)
+        self._gather(np.stack(np.divmod(met, sides[1]), axis=1) + low, sums)
 
     def cells(self, battery: str, blocks: int = 1) -> list[PlaceCell]:
         """Visited cells of one battery; `blocks` by `blocks` cells of the grid make one."""
         keys = [f"{battery}:{what}" for what in ("seconds", "gap", "square")]
-        cells, sums = self._sums.joined(blocks, keys)
+        cells, sums = _joined(self._cells // blocks, {key: self._of(key) for key in keys})
         width = self.width_m * blocks
         rows = zip(cells.tolist(), *(sums[key].tolist() for key in keys), strict=True)
         return [
@@ -338,11 +294,11 @@ class PlaceGrid:
 
     def coarse_cells(self, battery: str, wanted: int = 8) -> list[PlaceCell]:
         """Cells so wide that about `wanted` by `wanted` cover the map."""
-        side = int(np.ptp(self._sums.cells, axis=0).max()) + 1 if len(self._sums.cells) else 0
+        side = int(np.ptp(self._cells, axis=0).max()) + 1 if len(self._cells) else 0
         return self.cells(battery, max(1, -(-side // wanted)))
 
 
 def _joined(cells: NDArray[np.int64], sums: Mapping[str, Array]) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """Each cell once, in order, with the sums of all that are the same."""
     found, which = np.unique(cells, axis=0, return_inverse=True)
-    return found, {key: sums_by(which.ravel(), values) for key, values in sums.items()}
+    return found, {key: f64(np.bincount(which.ravel(), values)) for key, values in sums.items()}

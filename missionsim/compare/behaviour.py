@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import is_clock
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline, integrate
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.physics import Array
 from missionsim.runs import motion
@@ -48,7 +48,7 @@ class Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
         distance = motion.distances(self.timeline)
         chosen = members & self._driving()
-        cruise = chosen & ~self._ramps()
+        cruise = chosen & ~(np.asarray(self.timeline.rates.get("speed_m_s", 0.0)) != 0.0)
         if not distance[cruise].sum() > 0.0:
             cruise = chosen
         length = float(distance[cruise].sum())
@@ -107,19 +107,13 @@ class Stages:
         start = np.cumsum(duration) - duration
         return replace(self, timeline=replace(line, start_s=start, duration_s=duration, columns=columns, rates=rates))
 
-    def _speed(self) -> Array:
-        return motion.speed_of({"speed_m_s": np.zeros(len(self.timeline)), **motion.middle_of(self.timeline)})
-
     def _driving(self) -> NDArray[np.bool_]:
-        return np.asarray(self._speed() > 0.0)
+        still = {"speed_m_s": np.zeros(len(self.timeline))}
+        return np.asarray(motion.speed_of({**still, **motion.middle_of(self.timeline)}) > 0.0)
 
     def _standing(self) -> NDArray[np.bool_]:
         turning = motion.middle_of(self.timeline).get("yaw_rate_rad_s", np.zeros(len(self.timeline)))
         return np.asarray(~self._driving() & (np.asarray(turning) == 0.0))
-
-    def _ramps(self) -> NDArray[np.bool_]:
-        rate = np.asarray(self.timeline.rates.get("speed_m_s", np.zeros(len(self.timeline))))
-        return np.asarray(rate != 0.0)
 
 
 def ratio(a: float, b: float) -> float:
@@ -128,7 +122,8 @@ def ratio(a: float, b: float) -> float:
 
 
 PARTS = ("path_stretch", "speed_tracking", "dwell", "other")
-_OF_SCHEME = ("scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m", "driven_m", "planned_s", "driven_s")
+OF_SCHEME = ("scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m", "driven_m", "planned_s", "driven_s")
+"""What tables and JSON tell of a `SchemeGap` beside its energies."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,8 +191,7 @@ class MissionGap:
             "runs": self.runs,
             "behaviour_wh": {part: self.part_wh(part) for part in PARTS},
             "by_scheme": [
-                {**{name: getattr(one, name) for name in _OF_SCHEME}, "wh": dict(one.wh[self.battery])}
-                for one in self.schemes
+                fields_of(one, " ".join(OF_SCHEME)) | {"wh": dict(one.wh[self.battery])} for one in self.schemes
             ],
             "error_statistics": self.error_statistics.to_json(),
             "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from missionsim.compare.axes import LabelAxis
 from missionsim.compare.behaviour import MissionGap, split_behaviour
 from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.where import Accumulator, RunSums, Series, dependences
@@ -135,7 +136,8 @@ def compare(
         for note in replay.notes:
             notes.setdefault(note, (note, []))[1].append(run)
         remarks: list[Remark] = []
-        for block in drive_blocks(replay, _noting(chain([first], blocks), remarks)):
+        for block in drive_blocks(replay, chain([first], blocks)):
+            remarks = merge([*remarks, *block.run.remarks])
             sums.add(run, block)
         for remark in merge(remarks):
             # the numbers in a remark differ from run to run, the finding does not
@@ -150,11 +152,16 @@ def compare(
         for name, meter in model.meters.items()
         if name in batteries
     ]
+    told = []
+    for note, of in notes.values():
+        everywhere = len(of) == len(sources) and note.startswith(("no column", "battery"))
+        more = f" and {len(of) - 1} more" if len(of) > 1 else ""
+        told.append(note if everywhere else f"{of[0]}{more}: {note}")
     return Comparison(
         getattr(robot, "name", ""),
         tuple(run for run, _ in sources),
         {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
-        (*meters, *(_told(note, runs, len(sources)) for note, runs in notes.values())),
+        (*meters, *told),
         tuple(sources),
         sums.rows,
         mission,
@@ -185,46 +192,39 @@ def compare_files(
     from missionsim.inputs.power import build_power_model
 
     logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
-    loading: list[Callable[[], Any]] = [
+    loaded: list[Any] = []
+    faults: list[Fault] = []
+    for load in (
         lambda: load_robot(robot) if isinstance(robot, (str, os.PathLike)) else robot,
         lambda: find_logs(logs),
-    ]
-    if mission is not None:
-        loading.append(lambda: load_mission(mission, robot=robot))
-    spec, _, loaded = _all_or_faults(loading)
+        lambda: None if mission is None else load_mission(mission, robot=robot),
+    ):
+        try:
+            loaded.append(load())
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    spec, _, driven = loaded
     model = build_power_model(spec)
-    if loaded is None:
+    if driven is None:
         return compare(model, logs, robot=spec, by=by, on_run=on_run)
     from missionsim.engine.simulate import simulate
 
-    result = simulate(loaded)
+    result = simulate(driven)
     found = compare(
         model,
         logs,
         robot=spec,
         plan=result.timeline,
         segments=tuple(info.name for info in result.segments),
-        mission=loaded.name,
+        mission=driven.name,
         by=by,
         on_run=on_run,
     )
     if result.feasible:
         return found
     return replace(found, notes=(f"the simulated mission is not feasible: {result.reason}", *found.notes))
-
-
-def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
-    """What each of the calls gives, None for a missing third; all their faults at once where there are any."""
-    found: list[Any] = []
-    faults: list[Fault] = []
-    for load in loading:
-        try:
-            found.append(load())
-        except InputError as error:
-            faults.extend(error.faults)
-    if faults:
-        raise InputError(faults)
-    return [*found, *([None] * (3 - len(found)))]
 
 
 def _runs(
@@ -261,19 +261,6 @@ def _ahead(blocks: Iterator[Run]) -> Iterator[Run]:
             yield block
 
 
-def _noting(blocks: Iterable[Run], remarks: list[Remark]) -> Iterator[Run]:
-    """The same blocks; what the checks say of them is kept in `remarks`, the same finding once."""
-    for block in blocks:
-        remarks[:] = merge([*remarks, *block.remarks])
-        yield block
-
-
-def _told(note: str, runs: list[str], all_runs: int) -> str:
-    if len(runs) == all_runs and note.startswith(("no column", "battery")):
-        return note
-    return f"{runs[0]}: {note}" if len(runs) == 1 else f"{runs[0]} and {len(runs) - 1} more: {note}"
-
-
 def _battery(
     battery: str,
     sums: Accumulator,
@@ -284,13 +271,27 @@ def _battery(
 ) -> BatteryComparison:
     found = {run: of[battery] for run, of in sums.runs.items() if battery in of}
     grid = progress_grid()
-    curves = [_cumulative(one, one.series.progress, grid) for one in found.values()]
-    measured, predicted = (np.sum([curve[i] for curve in curves], axis=0) for i in (0, 1))
+    every = [
+        [cumulative_at(one.series.progress, one.series.columns[name], grid) for one in found.values()]
+        for name in ("measured_j", "model_j")
+    ]
+    measured, predicted = (np.sum(curves, axis=0) for curves in every)
     curve = error_curve(measured, predicted)
     return BatteryComparison(
         **vars(Errors(tuple(one.error for one in found.values())).total),
         battery=battery,
-        runs=tuple(_run(battery, one, error_curve(*own)) for one, own in zip(found.values(), curves, strict=True)),
+        runs=tuple(
+            RunComparison(
+                **vars(one.error),
+                battery=battery,
+                error_statistics=error_statistics(own),
+                progress=grid,
+                error_curve_pct=own,
+                series=one.series,
+                by_term_wh={key: joules / 3600.0 for key, joules in one.terms.items()},
+            )
+            for one, own in zip(found.values(), map(error_curve, *every), strict=True)
+        ),
         error_statistics=error_statistics(curve),
         error_statistics_predicted=error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
         progress=grid,
@@ -298,23 +299,6 @@ def _battery(
         dependences=tuple(dependences(sums, battery)),
         places=tuple(sums.places.cells(battery)),
         mission=None if plan is None else _mission(battery, sums, model, plan, segments, found, batteries),
-    )
-
-
-def _cumulative(one: RunSums, progress: Array, grid: Array) -> tuple[Array, Array]:
-    columns = one.series.columns
-    return cumulative_at(progress, columns["measured_j"], grid), cumulative_at(progress, columns["model_j"], grid)
-
-
-def _run(battery: str, one: RunSums, curve: Array) -> RunComparison:
-    return RunComparison(
-        **vars(one.error),
-        battery=battery,
-        error_statistics=error_statistics(curve),
-        progress=progress_grid(),
-        error_curve_pct=curve,
-        series=one.series,
-        by_term_wh={key: joules / 3600.0 for key, joules in one.terms.items()},
     )
 
 
@@ -330,7 +314,8 @@ def _mission(
     driven = [sums.motion[run] for run in found]
     schemes = split_behaviour(model, plan, driven, batteries)
     simulated = sum(integrate(model, plan)[battery].values(), start=np.zeros(len(plan)))
-    grid, names = progress_grid(), sums.segment_names()
+    grid, axis = progress_grid(), sums.axes.get("segment")
+    names = axis.names if isinstance(axis, LabelAxis) else ()
     spent = np.cumsum(plan.duration_s)
     measured, predicted = np.zeros(len(grid)), np.zeros(len(grid))
     for one in found.values():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,9 +21,11 @@ from missionsim.runs.error import RunError
 from missionsim.runs.motion import MOTIONS, Motion, Still, dot, kinds_of_motion, motions
 
 MAX_BUCKETS = 4096
-_ENERGIES = ("measured_j", "model_j")
-_LOWS = ("measured_low_w", "error_low_w")
-_HIGHS = ("measured_high_w", "error_high_w")
+_JOINED = {
+    np.add: ("seconds", "measured_j", "model_j"),
+    np.minimum: ("measured_low_w", "error_low_w"),
+    np.maximum: ("measured_high_w", "error_high_w"),
+}
 
 
 @dataclass
@@ -83,10 +85,8 @@ def _join(columns: dict[str, Array], rows: int) -> dict[str, Array]:
         return {name: np.array(values, dtype=float) for name, values in columns.items()}
     starts = np.arange(0, len(columns["start_s"]), rows)
     joined = {name: columns[name][starts] for name in ("start_s", "segment")}
-    joined |= {"seconds": np.add.reduceat(columns["seconds"], starts)}
-    joined |= {name: np.add.reduceat(columns[name], starts) for name in _ENERGIES}
-    joined |= {name: np.minimum.reduceat(columns[name], starts) for name in _LOWS}
-    joined |= {name: np.maximum.reduceat(columns[name], starts) for name in _HIGHS}
+    for how, names in _JOINED.items():
+        joined |= {name: how.reduceat(columns[name], starts) for name in names}
     return joined
 
 
@@ -121,8 +121,8 @@ class Accumulator:
         """Add the rows of a block of `run`."""
         self.rows += len(block.time_s)
         placed: list[tuple[Axis, NDArray[np.int64]]] = []
-        for name, column, fresh in _axis_columns(run, block, self._by):
-            axis = self.axes.setdefault(name, fresh)
+        for column, fresh in _axis_columns(run, block, self._by):
+            axis = self.axes.setdefault(fresh.name, fresh)
             if (cells := axis.place(column)) is not None:
                 placed.append((axis, cells))
         segment = next((cells for axis, cells in placed if axis.name == "segment"), None)
@@ -132,7 +132,15 @@ class Accumulator:
             gap = -error * block.dt_s
             square = -error * gap
             weights |= {f"{battery}:gap": gap, f"{battery}:square": square, f"{battery}:seconds": block.dt_s}
-            self._add_run(run, battery, block, segment)
+            found = RunError.of(run, measured, block.model_w[battery], block.dt_s)
+            if (sums := self.runs.setdefault(run, {}).get(battery)) is None:
+                sums = self.runs[run][battery] = RunSums(found)
+            else:
+                sums.error += found
+            sums.series.add(block.time_s, block.dt_s, measured, block.model_w[battery], segment)
+            for key, power in block.terms[battery].items():
+                joules = dot(power, block.dt_s) if np.ndim(power) else float(power) * found.seconds
+                sums.terms[key] = sums.terms.get(key, 0.0) + joules
         if self._still is not None:
             own = self.motion.setdefault(run, {})
             for scheme, part in motions(block.covariates, block.dt_s, block.model_w, self._still).items():
@@ -141,45 +149,26 @@ class Accumulator:
             axis.add(cells, weights)
         self.places.add(block.covariates, weights)
 
-    def segment_names(self) -> tuple[str, ...]:
-        """Names of the segments by the codes in the series; empty where the logs name none."""
-        axis = self.axes.get("segment")
-        return axis.names if isinstance(axis, LabelAxis) else ()
 
-    def _add_run(self, run: str, battery: str, block: Driven, segment: NDArray[np.int64] | None) -> None:
-        seconds, measured, model = block.dt_s, block.measured_w[battery], block.model_w[battery]
-        error = RunError.of(run, measured, model, seconds)
-        sums = self.runs.setdefault(run, {}).get(battery)
-        if sums is None:
-            sums = self.runs[run][battery] = RunSums(error)
-        else:
-            sums.error += error
-        sums.series.add(block.time_s, seconds, measured, model, segment)
-        for key, power in block.terms[battery].items():
-            joules = dot(power, seconds) if np.ndim(power) else float(power) * error.seconds
-            sums.terms[key] = sums.terms.get(key, 0.0) + joules
-
-
-def _axis_columns(run: str, block: Driven, by: tuple[str, ...]) -> Iterable[tuple[str, Any, Axis]]:
-    """Name, column and a new axis of everything in a block along which the error is looked at."""
+def _axis_columns(run: str, block: Driven, by: tuple[str, ...]) -> Iterator[tuple[Any, Axis]]:
+    """Column and a new axis of everything in a block along which the error is looked at."""
     cov = {name: column for name, column in block.covariates.items() if name not in block.assumed}
     others = sorted(name for name in block.run.columns if name not in (*COVARIATES, "time_s") and may_be_cause(name))
     for name in [*(name for name, known in COVARIATES.items() if known.shown), *others, *by]:
-        if name in cov:
-            yield name, cov[name], _axis(name, cov[name])
-    yield "time_since_start_s", block.time_s, NumberAxis("time_since_start_s", "time since start", "s")
-    yield "run", Labels(np.zeros(len(block.time_s), dtype=np.int64), (run,)), LabelAxis("run", "run")
+        if name not in cov:
+            continue
+        known, switch = COVARIATES.get(name), is_switch(name)
+        title = known.title if known is not None else f"units of {name[3:]} on" if switch else name
+        if is_text(cov[name]) or switch:
+            yield cov[name], LabelAxis(name, title)
+        elif known is None:
+            yield cov[name], NumberAxis(name, title, "")
+        else:
+            yield cov[name], NumberAxis(name, title, known.unit, known.factor, known.magnitude)
+    yield block.time_s, NumberAxis("time_since_start_s", "time since start", "s")
+    yield Labels(np.zeros(len(block.time_s), dtype=np.int64), (run,)), LabelAxis("run", "run")
     if "speed_m_s" in block.covariates:
-        motion = Labels(kinds_of_motion(block.covariates), MOTIONS)
-        yield "motion", motion, LabelAxis("motion", "kind of motion")
-
-
-def _axis(name: str, column: Any) -> Axis:
-    known = COVARIATES.get(name)
-    title = known.title if known is not None else f"units of {name[3:]} on" if is_switch(name) else name
-    if is_text(column) or is_switch(name):
-        return LabelAxis(name, title)
-    return NumberAxis(name, title, *((known.unit, known.factor, known.magnitude) if known is not None else ("",)))
+        yield Labels(kinds_of_motion(block.covariates), MOTIONS), LabelAxis("motion", "kind of motion")
 
 
 BLOCK_S = 20.0
@@ -224,8 +213,13 @@ class Where:
 
     @property
     def phrase(self) -> str:
-        """The value as part of a sentence."""
-        return phrase(self.by, self.title, self.value, self.unit)
+        """The value as part of a sentence: ``on carpet``, ``at speed 0.4 to 0.5 m/s``."""
+        words = {"surface": "on", "motion": "while", "place": "near", "run": "in run"}
+        if self.by in words:
+            return f"{words[self.by]} {self.value}"
+        if self.by.startswith("on_"):
+            return f"with {self.value} {self.by[3:]} on"
+        return f"at {self.title} {self.value}{' ' + self.unit if self.unit else ''}"
 
 
 @dataclass(frozen=True)
@@ -311,10 +305,12 @@ def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
     sentences = []
     for dependence in telling:
         worst = max(dependence.values, key=lambda where: where.explains)
+        s = worst.seconds
+        duration = f"{s:.0f} s" if s < 600.0 else f"{s / 60.0:.0f} min" if s < 7200.0 else f"{s / 3600.0:.1f} h"
         sentences.append(
             f"The error varies with {dependence.title}, which goes with {100.0 * dependence.explained:.0f} % of its "
             f"variance: most {worst.phrase}, where the model is {abs(worst.bias_w):.3g} W "
-            f"{'too high' if worst.bias_w > 0.0 else 'too low'} on average during {_duration(worst.seconds)}."
+            f"{'too high' if worst.bias_w > 0.0 else 'too low'} on average during {duration}."
         )
     if telling[0].by == "accel_m_s2":
         sentences.append(
@@ -322,24 +318,3 @@ def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
             "`missionsim diagnose` aligns the clocks first."
         )
     return sentences
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 600.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
-
-
-def phrase(by: str, title: str, value: str, unit: str) -> str:
-    """A covariate's value as part of a sentence: ``on carpet``, ``at speed 0.4 to 0.5 m/s``."""
-    if by == "surface":
-        return f"on {value}"
-    if by == "motion":
-        return f"while {value}"
-    if by == "place":
-        return f"near {value}"
-    if by == "run":
-        return f"in run {value}"
-    if by.startswith("on_"):
-        return f"with {value} {by[3:]} on"
-    return f"at {title} {value}{' ' + unit if unit else ''}"
