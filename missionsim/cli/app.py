@@ -1,20 +1,25 @@
-"""All commands, loaded when they are called, and one place where faults become messages and exit codes."""
+"""All commands, loaded when they are called, how a command line becomes a call, and one place where faults become
+messages and exit codes."""
 
 from __future__ import annotations
 
 import codecs
 import csv
+import importlib
+import inspect
 import io
 import itertools
 import os
 import sys
+import typing
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from missionsim.cli.parse import Call, build_app, check_targets, plain_call, whole_call
-from missionsim.errors import InputError, did_you_mean, visible
+from missionsim.cli.options import SHARED, Call, check_targets, options_of
+from missionsim.errors import InputError, visible
 
-EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
+EXIT_FINE, EXIT_INPUT, EXIT_OURS = 0, 2, 3
 EXIT_INTERRUPTED, EXIT_PIPE = 130, 141
 """128 and the number of the signal, as shells count."""
 
@@ -62,14 +67,9 @@ def run_command(arguments: Sequence[str]) -> int:
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="missionsim")
     word = next(iter(arguments), "")
-    if word and not word.startswith("-") and word not in COMMANDS:
-        hint = did_you_mean(word, COMMANDS)
-        print(
-            InputError.single(f"there is no command '{word}'", got=word, allowed=", ".join(COMMANDS), hint=hint),
-            file=sys.stderr,
-        )
-        return EXIT_INPUT
     try:
+        if word and not word.startswith("-") and word not in COMMANDS:
+            raise InputError.unknown(f"there is no command '{word}'", word, COMMANDS)
         if "" in arguments:
             raise InputError.single(
                 "an argument is empty", got=f"number {list(arguments).index('') + 1}", allowed="text"
@@ -88,13 +88,14 @@ def run_command(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        return _reader_gone()
-    except SystemExit as end:
+    except (BrokenPipeError, SystemExit) as end:
         # rich ends the program itself where it meets a closed pipe
-        if isinstance(end.__context__, BrokenPipeError):
-            return _reader_gone()
-        raise
+        if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):
+            raise
+        # the reader of our output has gone (`| head`): end quietly, as programs do that the signal ends, and not with
+        # 0, because what a command does after printing may be undone
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        return EXIT_PIPE
     except OSError as error:
         print(visible(f"{error.filename or 'file'}: error: {error.strerror or error}"), file=sys.stderr)
         return EXIT_INPUT
@@ -125,20 +126,103 @@ def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
         # as a path, nothing would be the present folder
         if before.strip("=") in ("--out", "--json", "--report", "--mcap") and (before[-1] == "=" or not after.strip()):
             raise InputError.single(f"{before.strip('=')} names nothing", got="''", allowed="a path")
-    from cyclopts import CycloptsError
+    from cyclopts import App, CycloptsError, Parameter
 
+    from missionsim import __version__
+
+    for group in SHARED:
+        Parameter(name="*")(group)
+    app = App(
+        name="missionsim",
+        help=HELP,
+        version=__version__,
+        help_format="plaintext",
+        default_parameter=Parameter(negative=()),
+    )
+    app.register_install_completion_command(help="Install completion for a shell: bash, zsh or fish.")
+    for name, (target, summary) in COMMANDS.items():
+        app.command(f"missionsim.cli.{target}", name=name, help=summary)
     try:
-        return whole_call(build_app(COMMANDS, HELP), arguments)
+        function, bound, _ = app.parse_args(spelled_out(arguments), exit_on_error=False, print_error=False)
     except CycloptsError as error:
         print(visible(f"command line: error: {' '.join(str(error).split())}"), file=sys.stderr)
         print("    see: missionsim --help", file=sys.stderr)
         return None
+    return Call(function, bound.args, bound.kwargs)
 
 
-def _reader_gone() -> int:
-    """The reader of our output has gone (`| head`): end quietly, as programs do that the signal ends.
+def plain_call(words: Sequence[str], target: str) -> Call | None:
+    """A plain call; None for whatever is not plain, which is left to the whole parser.
 
-    Not 0, because what a command does after printing may be undone.
+    Plain is a command with its files, options that take one value, and flags. Help, figures, faults on the command line
+    and anything unusual are not. The parser takes longer to load, and to open each command's options, than many
+    commands take. `target`: ``module:name`` of the command's function inside `missionsim.cli`.
     """
-    sys.stdout = open(os.devnull, "w")  # noqa: SIM115
-    return EXIT_PIPE
+    module, _, attribute = target.partition(":")
+    function = getattr(importlib.import_module(f"missionsim.cli.{module}"), attribute)
+    # an application of commands has no signature that names a file
+    first = next(iter(inspect.signature(function).parameters.values()), None)
+    if first is None or first.annotation != "Path" or first.kind is first.KEYWORD_ONLY:
+        return None
+    known = options_of(function)
+    files: list[str] = []
+    given: dict[str, dict[str, Any]] = {}
+    rest = iter(words)
+    for word in rest:
+        if not word.startswith("-"):
+            files.append(word)
+            continue
+        name, equals, value = word.partition("=")
+        option = known.get(name)
+        if option is None or not option.one_word or (bool in option.types and equals):
+            return None
+        flag, several = bool in option.types, list[str] in option.types
+        if not flag and not equals:
+            value = next(rest, "")
+        taken = given.setdefault(option.parameter, {})
+        choices = [typing.get_args(one) for one in option.types if typing.get_origin(one) is typing.Literal]
+        if choices and value not in choices[0]:
+            return None
+        dash = value.startswith("-") and not (name == "--json" and value == "-")
+        if dash or not (value or flag) or (option.field in taken and not several):
+            return None
+        if several:
+            taken.setdefault(option.field, []).append(value)
+        else:
+            taken[option.field] = flag or (Path(value) if Path in option.types else value)
+    if not files or not all(files) or (len(files) > 1 and first.kind is not first.VAR_POSITIONAL):
+        return None
+    if first.name in given:
+        return None
+    groups = {option.parameter: option.group for option in known.values()}
+    paths = tuple(Path(file) for file in files)
+    try:
+        made = {name: (group(**told) if (group := groups[name]) else told[name]) for name, told in given.items()}
+        inspect.signature(function).bind(*paths, **made)
+    except TypeError:
+        return None  # something that must be given is not
+    return Call(function, paths, made)
+
+
+def spelled_out(words: Sequence[str]) -> list[str]:
+    """The command line with each value joined to its option where the parser could take it for something else.
+
+    ``--json -`` is standard output; ``run --plot`` may be followed by formats, but a word that is a path (has a dot
+    or a separator, or is there as a file) is none.
+    """
+    found: list[str] = []
+    formats = False
+    for word in words:
+        if formats and not (word.startswith("-") or "." in word or "/" in word or Path(word).is_file()):
+            found[-1:] = [f"--plot={word}"] if found[-1] == "--plot" else [found[-1], f"--plot={word}"]
+            continue
+        if formats and found[-1] == "--plot":
+            found[-1] = "--plot=png"
+        formats = word == "--plot" and words[0] == "run"
+        if word == "-" and found[-1:] == ["--json"]:
+            found[-1] = "--json=-"
+        else:
+            found.append(word)
+    if formats and found[-1] == "--plot":
+        found[-1] = "--plot=png"
+    return found

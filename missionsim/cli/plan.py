@@ -8,8 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
-from missionsim.cli.parse import check_picture
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutPicture, Output
 from missionsim.cli.run import clock
 from missionsim.engine.outcome import RunResult
 from missionsim.errors import InputError
@@ -33,7 +32,7 @@ def plan(
     pareto: bool = False,
     alternatives: bool = False,
     seconds: float | None = None,
-    plot: OutFile | None = None,
+    plot: OutPicture | None = None,
     report: OutFile | None = None,
     to: Output = TERMINAL,
 ) -> int:
@@ -58,7 +57,6 @@ def plan(
     report
         Write an interactive page, which opens from disk, to this HTML file.
     """
-    check_picture(plot)
     check_writable(out, plot, report)
     if seconds is not None and not seconds > 0.0:
         raise InputError.single("--seconds must be more than nothing", got=f"{seconds:g}", allowed="such as 60")
@@ -185,7 +183,7 @@ def reach(
     back_to: str | None = None,
     probability: float = 0.95,
     changes: Changes = AS_FILED,
-    plot: OutFile | None = None,
+    plot: OutPicture | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Which places a robot can go to and come back from with its reserve, and where it must turn back.
@@ -206,7 +204,6 @@ def reach(
     plot
         Draw the map into this PNG or SVG file.
     """
-    check_picture(plot)
     check_writable(plot)
     if changes.robot is None:
         raise InputError.single("reach needs a robot", allowed="--robot ROBOT.yaml, or a shipped robot's name")

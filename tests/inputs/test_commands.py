@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from missionsim.cli.app import COMMANDS, EXIT_PIPE, read_call, run_command
-from missionsim.cli.parse import plain_call, spelled_out
+from missionsim.cli.app import COMMANDS, EXIT_PIPE, plain_call, read_call, run_command, spelled_out
 
 
 def test_validate_everything_shipped(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import read_call, run_command
-from missionsim.cli.parse import Call, check_targets
+from missionsim.cli.options import Call, check_targets
 from missionsim.errors import InputError
 from missionsim.logs import read_log
 from missionsim.logs.blocks import write_log
