@@ -22,11 +22,8 @@ from missionsim.diagnose.words import heldout_line
 from missionsim.errors import InputError
 from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
-from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import for_folder, robot_text
 from missionsim.inputs.loading import robot_from_text
-from missionsim.inputs.robot import RobotSpec
-from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
 
@@ -136,7 +133,9 @@ def improve(
         )
     spec, split, tables, left_out = search.read(logs, to)
     text = robot_text(search.robot)
-    wanted = [search.battery] if search.battery is not None else _batteries(spec, tables)
+    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    known = [name for name in measured if name in spec.batteries] or measured
+    wanted = [search.battery] if search.battery is not None else known
     done: list[Improved] = []
     skipped: dict[str, InputError] = {}
     refused: set[str] = set()
@@ -146,7 +145,17 @@ def improve(
         if name in (without or ()):
             refused.add(name)
             return False
-        return yes or _ask(finding, diagnosis)
+        if yes:
+            return True
+        from rich.prompt import Confirm
+
+        terminal = console(stderr=True)
+        terminal.print(words.found_line(finding))
+        before_w, after_w = finding.heldout_rmse_before_w, finding.heldout_rmse_after_w
+        if before_w is not None and after_w is not None:
+            terminal.print(f"power error on held-out runs {before_w:.3g} -> {after_w:.3g} W")
+        asked = f"add {finding.effect} to battery {diagnosis.battery}?"
+        return Confirm.ask(asked, default=True, console=terminal)
 
     for name in wanted:
         try:
@@ -173,23 +182,6 @@ def improve(
         if report is not None:
             console().print(f"report written: {report}")
     return 1 if left_out or any(one.worse for one in done) else 0
-
-
-def _batteries(spec: Any, tables: list[Any]) -> list[str]:
-    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
-    return [name for name in measured if name in spec.batteries] or measured
-
-
-def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
-    from rich.prompt import Confirm
-
-    terminal = console(stderr=True)
-    terminal.print(words.found_line(finding))
-    if finding.heldout_rmse_before_w is not None and finding.heldout_rmse_after_w is not None:
-        terminal.print(
-            f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> {finding.heldout_rmse_after_w:.3g} W"
-        )
-    return Confirm.ask(f"add {finding.effect} to battery {diagnosis.battery}?", default=True, console=terminal)
 
 
 def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: dict[str, Any]) -> None:
@@ -258,10 +250,15 @@ def add_effect(
             allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
         )
     spec, split, tables, left_out = search.read(logs, to)
-    chosen = search.battery or motors_battery(spec, tables)
+    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    motors = spec.motion.battery if spec.motion is not None else ""
+    chosen = search.battery or (motors if motors in measured else measured[0])
     text = robot_text(search.robot)
     if formula is not None:
-        text, effect = _candidate(text, spec, split, chosen, formula, search.settings)
+        if formula.strip().isdigit():  # one of the forms that diagnose proposes
+            seen = examine(Subject.of(spec), Split(split.train, (), split.how), chosen, search.settings)
+            formula = formula_of(proposed_laws(seen.found, seen.features.covariates), formula)
+        text, effect = with_candidate(text, chosen, formula)
         spec = robot_from_text(text)
     assert effect is not None
     try:
@@ -299,22 +296,3 @@ def add_effect(
             terminal.print("held out: " + heldout_line(made.heldout))
         terminal.print(f"written: {out}")
     return 1 if made.worse or left_out else 0
-
-
-def _candidate(
-    text: str, spec: RobotSpec, split: Split, battery: str, formula: str, settings: Settings
-) -> tuple[str, str]:
-    """The text of the robot with the formula as a candidate, and its name; a number means one of the forms proposed."""
-    if formula.strip().isdigit():
-        seen = examine(Subject.of(spec), Split(split.train, (), split.how), battery, settings)
-        formula = formula_of(proposed_laws(seen.found, seen.features.covariates), formula)
-    return with_candidate(text, battery, formula)
-
-
-def motors_battery(spec: RobotSpec, tables: Sequence[LogTable]) -> str:
-    """The battery of the motors if it was measured, else the first that was."""
-    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
-    motion = spec.motion
-    if motion is not None and motion.battery in measured:
-        return motion.battery
-    return measured[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,9 @@ from missionsim.exchange.formats import import_site as read
 from missionsim.exchange.nav2 import export_costs
 from missionsim.exchange.qgc import plan_of
 from missionsim.exchange.rmf_fleet import NUMBERS, export_fleet, read_fleet
-from missionsim.exchange.site import Site, SiteOptions, write_site
+from missionsim.exchange.site import SiteOptions, write_site
 from missionsim.exchange.vda5050 import order_of
-from missionsim.files import atomic_write, write_text
+from missionsim.files import atomic_write, to_json, write_text
 from missionsim.inputs.loading import load_mission, load_robot, robot_from_text
 from missionsim.report.terminal import console, show_table
 
@@ -67,7 +66,8 @@ def nav2(
     found = export_costs(
         graph, spec, battery=battery, wh_per_s=time_weight, speed=speed, best_speed=best_speed, payload_kg=payload
     )
-    _write(out, found.raw)
+    with atomic_write(out) as temporary:
+        temporary.write_bytes(found.raw)
     to.emit({"schema": "missionsim.graph_costs/1", "graph": str(graph), "robot": spec.name, "edges": found.edges})
     if to.text:
         costs = [edge["cost"] for edge in found.edges]
@@ -97,7 +97,8 @@ def rmf(config: Path, /, *logs: Path, robot: str, out: Path, battery: str = "", 
     """
     spec = load_robot(robot)
     found = export_fleet(config, spec, logs, battery)
-    _write(out, found.raw)
+    with atomic_write(out) as temporary:
+        temporary.write_bytes(found.raw)
     changed = {key: {"before": before, "after": after} for key, (before, after) in found.changed.items()}
     result = {"schema": "missionsim.fleet_export/1", "config": str(config), "robot": spec.name, "changed": changed}
     to.emit({**result, "errors": found.errors, "remarks": found.remarks})
@@ -180,16 +181,11 @@ def qgc(
 
 
 def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, to: Output) -> int:
-    _write(out, (json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
+    write_text(out, to_json(data))
     to.emit({"schema": "missionsim.export/1", "out": str(out), "told": list(remarks)})
     if to.text:
         _tell(title, remarks, out)
     return 0
-
-
-def _write(out: Path, raw: bytes) -> None:
-    with atomic_write(out) as temporary:
-        temporary.write_bytes(raw)
 
 
 def _tell(title: str, remarks: Iterable[object], *written: Path | None) -> None:
@@ -250,20 +246,15 @@ def import_site(
         write_site(site, out, mission, driver or "")
     to.emit({**site.summary(), "out": out, "mission": mission})
     if to.text:
-        _tell(_in_words(site), site.remarks.values(), out, mission)
+        one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
+        parts = [f"{len(site.places)} places", f"{len(site.edges)} ways ({one_way} one-way, {site.length_m:.1f} m)"]
+        if site.chargers:
+            named = f"{', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)}"
+            parts.append(f"{len(site.chargers)} chargers ({named})")
+        if site.segments:
+            parts.append(f"a mission of {len(site.segments)} segments")
+        _tell(f"{site.file}: {site.format}, {', '.join(parts)}", site.remarks.values(), out, mission)
     return 0
-
-
-def _in_words(site: Site) -> str:
-    """What was read, in one line."""
-    one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
-    parts = [f"{len(site.places)} places", f"{len(site.edges)} ways ({one_way} one-way, {site.length_m:.1f} m)"]
-    if site.chargers:
-        named = f"{', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)}"
-        parts.append(f"{len(site.chargers)} chargers ({named})")
-    if site.segments:
-        parts.append(f"a mission of {len(site.segments)} segments")
-    return f"{site.file}: {site.format}, {', '.join(parts)}"
 
 
 def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "robot", to: Output = TERMINAL) -> int:

@@ -131,22 +131,22 @@ def montecarlo(
             "no number of this mission is uncertain; all runs are the same unless the mission itself is left to chance"
         )
         print(f"warning: {told}", file=sys.stderr)
-    unread = unread_values(prepared.mission, prepared.model, prepared.sampler)
-    if unread and to.text:
+    if to.text and (unread := unread_values(prepared.mission, prepared.model, prepared.sampler)):
         told = f"the nominal mission does not use {', '.join(unread)}; drawing them changes nothing"
         print(f"warning: {told}", file=sys.stderr)
     if batch.only is not None:
-        return _only(prepared, batch.seed, batch.only, batch.out, to)
+        return _only(prepared, batch, batch.only, to)
     if batch.out is not None:
         return _batch(task, prepared, batch, batch.out, to)
     with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
         return _batch(task, prepared, batch, Path(folder) / "batch", to)
 
 
-def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output) -> int:
+def _only(prepared: Prepared, batch: Batch, run: int, to: Output) -> int:
+    seed = batch.seed
     drawn, result, limited = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
-    if out is not None:
-        folder = out / f"run_{run:09d}"
+    if batch.out is not None:
+        folder = batch.out / f"run_{run:09d}"
         write_results(result, folder)
         write_text(folder / "drawn.json", to_json(drawn))
     to.emit({**result.summary(), "run": run, "seed": seed, "drawn": drawn, "speed_limited": limited})
@@ -166,6 +166,12 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
     if batch.sobol:
         refuse_correlated(prepared)
     store = BlockStore(out)
+
+    def tell_damaged(damaged: list[int]) -> None:
+        if damaged:
+            told = f"{len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run {damaged[0]}"
+            print(f"warning: computing again {told}", file=sys.stderr)
+
     try:
         with to.progress() as bar, _executor(batch.scheduler) as executor:
             row = bar.add_task(f"runs ({prepared.engine})", total=batch.count)
@@ -179,7 +185,7 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
                 until=batch.until,
                 sobol=batch.sobol,
                 advance=lambda count: bar.advance(row, count),
-                on_damaged=_tell_damaged,
+                on_damaged=tell_damaged,
             )
         if batch.plot:
             write_batch_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
@@ -193,12 +199,6 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
     if to.text:
         _print(answer, prepared)
     return 0
-
-
-def _tell_damaged(damaged: list[int]) -> None:
-    if damaged:
-        told = f"{len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run {damaged[0]}"
-        print(f"warning: computing again {told}", file=sys.stderr)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
 import time
@@ -64,11 +65,21 @@ def plan(
     to.warn(spec.warnings)
     answer, run = _solved(spec, seconds, to)
     to.warn(() if run is None else run.warnings)
-    try:
-        _extend(answer, pareto, alternatives)
-    except KeyboardInterrupt:
-        if not answer.feasible:
-            raise
+    if not answer.feasible:
+        if answer.extra.pop("explained", True) and answer.notes:
+            would_do = answer.extra.pop("would_do", [])
+            reasons = {"short": [], "would_do": would_do, "text": [f"this would do: {c['text']}" for c in would_do]}
+        else:
+            reasons = why.explain(answer.site)
+        answer.extra["why"] = reasons | {"text": [*answer.notes, *reasons["text"]]}
+    with contextlib.suppress(KeyboardInterrupt):  # a plan there is
+        if answer.feasible and pareto:
+            answer.extra["pareto"] = [
+                {"duration_s": made.duration_s, "energy_wh": made.energy_wh, "gap": made.gap, "order": made.order()}
+                for made in why.pareto(answer.site)
+            ]
+        if answer.feasible and alternatives:
+            answer.extra["alternatives"] = why.alternatives(answer)
     answer.extra["warnings"] = [] if run is None else [fault.message for fault in run.warnings]
     written = []
     if out is not None and answer.feasible:
@@ -113,25 +124,6 @@ def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, 
             signal.signal(signal.SIGINT, before)
 
 
-def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
-    if not answer.feasible and answer.extra.pop("explained", True) and answer.notes:
-        would_do = answer.extra.pop("would_do", [])
-        told = [f"this would do: {change['text']}" for change in would_do]
-        answer.extra["why"] = {"short": [], "would_do": would_do, "text": [*answer.notes, *told]}
-        return
-    if not answer.feasible:
-        answer.extra["why"] = found = why.explain(answer.site)
-        found["text"] = [*answer.notes, *found["text"]]
-        return
-    if with_pareto:
-        answer.extra["pareto"] = [
-            {"duration_s": made.duration_s, "energy_wh": made.energy_wh, "gap": made.gap, "order": made.order()}
-            for made in why.pareto(answer.site)
-        ]
-    if with_alternatives:
-        answer.extra["alternatives"] = why.alternatives(answer)
-
-
 def show(answer: Answer) -> None:
     """Print a plan, at most 100 columns wide."""
     terminal = console()
@@ -165,10 +157,8 @@ def show(answer: Answer) -> None:
     columns += [f">{name} Wh" for name in batteries] + [f">{name} left" for name in batteries]
     show_table("Legs", columns, rows)
     for item in answer.extra.get("alternatives", ()):
-        if item["feasible"]:
-            terminal.print(f"  {item['kind']}: {100 * item['worse']:.2f} % worse, {clock(item['duration_s'])}")
-        else:
-            terminal.print(f"  {item['kind']}: no plan")
+        told = f"{100 * item['worse']:.2f} % worse, {clock(item['duration_s'])}" if item["feasible"] else "no plan"
+        terminal.print(f"  {item['kind']}: {told}")
     front = answer.extra.get("pareto")
     if front:
         heads = [">s", *(f">{name} Wh" for name in batteries)]

@@ -33,7 +33,10 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
     yaml_files: list[Path] = []
     logs: list[Path] = []
     for given in files:
-        found = _inside(given) if given.is_dir() else [given]
+        found = [given]
+        if given.is_dir():
+            inside = sorted(given.rglob("*"))
+            found = [p for p in inside if (p.suffix.lower() in _YAML or _is_log(p)) and p.is_file()]
         if not found:
             from missionsim.logs.readers import log_suffixes
 
@@ -63,8 +66,9 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
             print(fault, file=sys.stderr)
     if to.text:
         warnings = len(faults) - len(errors)
-        words = [_counted(len(errors), "error"), *([_counted(warnings, "warning")] if warnings else [])]
-        print(f"{_counted(count, 'file')}: " + (", ".join(words) if faults else "valid"))
+        numbers = ((count, "file"), (len(errors), "error"), (warnings, "warning"))
+        read, *told = (f"{number} {word}{'s' * (number != 1)}" for number, word in numbers)
+        print(f"{read}: " + (", ".join(told if warnings else told[:1]) if faults else "valid"))
     return 2 if errors else 0
 
 
@@ -74,11 +78,3 @@ def _is_log(path: Path) -> bool:
     from missionsim.logs.readers import log_suffixes
 
     return path.suffix.lower() in log_suffixes()
-
-
-def _inside(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if (p.suffix.lower() in _YAML or _is_log(p)) and p.is_file())
-
-
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"

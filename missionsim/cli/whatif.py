@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import write_table
 from missionsim.uncertainty.batch import Task, compare_alternatives
+
+MOST_TERMS = 5
 
 
 def whatif(
@@ -86,7 +88,12 @@ def whatif(
     answer = found.to_json()
     if montecarlo:
         possible = [a for a, row in zip(alternatives, answer["alternatives"], strict=True) if row["batteries"]]
-        answer["montecarlo"] = _draw(path, possible, montecarlo, seed, to)
+        tasks = [Task(str(path), tuple(a.set), a.robot, seed, "auto") for a in possible]
+        with to.progress() as bar:
+            task = bar.add_task("runs", total=montecarlo * len(tasks))
+            rows = compare_alternatives(tasks, montecarlo, lambda count: bar.advance(task, count))
+        named = [{"name": a.name, **row} for a, row in zip(possible, rows, strict=True)]
+        answer["montecarlo"] = {"runs": montecarlo, "seed": seed, "alternatives": named}
     to.emit(answer)
     if to.text:
         show(found)
@@ -96,23 +103,18 @@ def whatif(
     return 0 if found.runs[0].feasible else 1
 
 
-def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, to: Output) -> dict[str, Any]:
-    tasks = [Task(str(path), tuple(a.set), a.robot, seed, "auto") for a in alternatives]
-    with to.progress() as bar:
-        task = bar.add_task("runs", total=runs * len(tasks))
-        rows = compare_alternatives(tasks, runs, lambda count: bar.advance(task, count))
-    named = [{"name": a.name, **row} for a, row in zip(alternatives, rows, strict=True)]
-    return {"runs": runs, "seed": seed, "alternatives": named}
-
-
 def _show_differences(answer: dict[str, Any]) -> None:
     """Print which differences of the alternatives hold under the uncertainty."""
     rows = []
     for row in answer["alternatives"]:
+        means = {d["quantity"]: d["mean"] for d in row["differences"]}
         for d in row["differences"]:
-            if not _mirrored(d, row["differences"]):
+            name = d["quantity"]
+            gives = means.get(name.replace("margin_", "energy_"), math.nan) if "margin_" in name else math.nan
+            # what a battery keeps often changes by just what it gives; then one of the two tells all
+            if not math.isclose(gives, -d["mean"], rel_tol=1e-9):
                 interval, real = f"{d['low']:+.3g} … {d['high']:+.3g}", "yes" if d["real"] else "cannot be told"
-                rows.append([row["name"], _percent(row), d["quantity"], f"{d['mean']:+.4g}", interval, real])
+                rows.append([row["name"], _percent(row), name, f"{d['mean']:+.4g}", interval, real])
     first = answer["alternatives"][0]
     terminal = console()
     succeeds = f"{first['name']}: succeeds in {_percent(first)}"
@@ -125,15 +127,6 @@ def _show_differences(answer: dict[str, Any]) -> None:
 def _percent(row: Mapping[str, Any]) -> str:
     low, high = row["p_feasible_interval"]
     return f"{100 * row['p_feasible']:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
-
-
-def _mirrored(difference: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether what a battery keeps changes by just what it gives, so that one of the two tells all."""
-    energy = difference["quantity"].replace("margin_", "energy_")
-    return energy != difference["quantity"] and any(
-        other["quantity"] == energy and math.isclose(other["mean"], -difference["mean"], rel_tol=1e-9)
-        for other in others
-    )
 
 
 def split_values(text: str) -> list[str]:
@@ -181,15 +174,19 @@ def show(found: WhatIf) -> None:
             cells.append([label, *["–"] * (2 + 3 * len(found.batteries)), "impossible"])
             continue
         line: list[Any] = [label, clock(row["duration_s"]), signed(row["difference_s"], 1)]
+        kept = [label]
         for name in found.batteries:
             b = row["batteries"][name]
             percent = b["difference_pct"]
             line += [f"{b['energy_wh']:.3f}", signed(b["difference_wh"], 3)]
             line.append("–" if percent is None else signed(percent, 1))
-        line.append("yes" if row["feasible"] else "NO")
-        cells.append(line)
-        known = [row["batteries"][name] for name in found.batteries]
-        left.append([label, *(text for b in known for text in _left(b))])
+            if b["charge_left_wh"] is None:
+                kept += ["–"] * 3
+            else:
+                share = f"{100 * b['charge_left_fraction']:.1f} %"
+                kept += [f"{b['charge_left_wh']:.3f}", share, f"{b['margin_wh']:.3f}"]
+        cells.append([*line, "yes" if row["feasible"] else "NO"])
+        left.append(kept)
     table = simple_table("Alternatives", columns, cells)
     table.collapse_padding = True
     terminal.print(table)
@@ -199,19 +196,7 @@ def show(found: WhatIf) -> None:
     columns = [">left Wh", ">left", ">margin Wh"]
     heads = [f">{name} {column[1:]}" for name in found.batteries for column in columns]
     show_table("Charge left, and what it is above the reserve", ["alternative", *heads], left)
-    terminal.print(_term_rows(rows))
-
-
-def _left(battery: Mapping[str, Any]) -> list[str]:
-    if battery["charge_left_wh"] is None:
-        return ["–"] * 3
-    share = f"{100 * battery['charge_left_fraction']:.1f} %"
-    return [f"{battery['charge_left_wh']:.3f}", share, f"{battery['margin_wh']:.3f}"]
-
-
-def _term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
-    """The terms that change most in each alternative."""
-    cells = []
+    terms = []
     for number, row in enumerate(rows[1:], start=1):
         changes = [
             (difference, battery, term)
@@ -220,10 +205,10 @@ def _term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
             if abs(difference) > 5e-7
         ]
         changes.sort(key=lambda change: -abs(change[0]))
-        text = ", ".join(f"{battery}/{term} {signed(d, 4)}" for d, battery, term in changes[:most])
+        text = ", ".join(f"{battery}/{term} {signed(d, 4)}" for d, battery, term in changes[:MOST_TERMS])
         if row["batteries"]:
-            cells.append((f"{number} {row['name']}", text or "nothing changes"))
-    return simple_table("Terms that change most [Wh]", ["alternative", "battery/term"], cells)
+            terms.append((f"{number} {row['name']}", text or "nothing changes"))
+    show_table("Terms that change most [Wh]", ["alternative", "battery/term"], terms)
 
 
 def signed(value: float, digits: int) -> str:
