@@ -1,5 +1,6 @@
 """Batteries of a robot file."""
 
+import contextlib
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -7,7 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from missionsim.inputs import units, values
 from missionsim.inputs.base import Model, alone, check_rising, wrong
-from missionsim.inputs.values import Issue, Parameter, QuantityOf
+from missionsim.inputs.values import Parameter, QuantityOf
 
 
 class _CapacityOf(QuantityOf):
@@ -16,17 +17,14 @@ class _CapacityOf(QuantityOf):
     def _allowed(self) -> str:
         return f"{super()._allowed()}, or a charge such as 20 Ah (with nominal_voltage)"
 
-    def _number(self, raw: Any, at: tuple[str | int, ...] = (), unit: str = "") -> tuple[float, str]:
+    def _number(self, raw: Any, unit: str = "") -> tuple[float, str]:
         if isinstance(raw, str) and (parts := units.split(raw)) and parts[1]:
-            try:
+            with contextlib.suppress(units.UnitError):
                 value = units.parse_quantity(raw, "charge")
-            except units.UnitError:
-                pass
-            else:
                 if value <= 0:
-                    raise Issue("impossible value", f"'{raw}'", "more than 0", at=at)
+                    raise wrong("impossible value", f"'{raw}'", "more than 0")
                 return value, "C"
-        return super()._number(raw, at, unit)
+        return super()._number(raw, unit)
 
 
 Capacity = Annotated[Parameter, _CapacityOf("energy", 0.0, 1e12, strict_low=True)]

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 from missionsim.inputs.base import Model
 from missionsim.physics import Array
 
-KINDS = ("normal", "truncated_normal", "lognormal", "uniform", "triangular", "discrete", "empirical")
-
 
 @dataclass(frozen=True)
 class Distribution:
@@ -36,31 +34,33 @@ class Distribution:
     @property
     def mean(self) -> float:
         """Mean, SI."""
-        match self.kind:
-            case "normal" | "lognormal":
-                return float(self.mean_ or 0.0)
-            case "uniform":
-                return (self._low + self._high) / 2
-            case "triangular":
-                return (self._low + self._high + float(self.mode or 0.0)) / 3
-            case "truncated_normal":
-                return self._truncated_moments()[0]
-        return float(np.dot(self.values, self.weights))
+        return self._moments[0]
 
     @property
     def sd(self) -> float:
         """Standard deviation, SI."""
+        return self._moments[1]
+
+    @functools.cached_property
+    def _moments(self) -> tuple[float, float]:
+        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
+        a, b, c = self._low, self._high, float(self.mode or 0.0)
         match self.kind:
             case "normal" | "lognormal":
-                return float(self.sd_ or 0.0)
+                return mean, sd
             case "uniform":
-                return (self._high - self._low) / math.sqrt(12.0)
+                return (a + b) / 2, (b - a) / math.sqrt(12.0)
             case "triangular":
-                a, b, c = self._low, self._high, float(self.mode or 0.0)
-                return math.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
+                return (a + b + c) / 3, math.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
+            case "truncated_normal" if sd == 0.0:
+                return min(max(mean, a), b), 0.0
             case "truncated_normal":
-                return self._truncated_moments()[1]
-        return math.sqrt(float(np.dot((np.asarray(self.values) - self.mean) ** 2, self.weights)))
+                from scipy.stats import truncnorm
+
+                first, second = truncnorm.stats((a - mean) / sd, (b - mean) / sd, mean, sd, moments="mv")
+                return float(first), math.sqrt(float(second))
+        mean = float(np.dot(self.values, self.weights))
+        return mean, math.sqrt(float(np.dot((np.asarray(self.values) - mean) ** 2, self.weights)))
 
     def quantile(self, probability: ArrayLike) -> Array:
         """Values at the probabilities (any shape, 0 to 1 exclusive for unbounded kinds); SI."""
@@ -144,15 +144,6 @@ class Distribution:
     def _high(self) -> float:
         return math.inf if self.high is None else self.high
 
-    def _truncated_moments(self) -> tuple[float, float]:
-        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
-        if sd == 0.0:
-            return min(max(mean, self._low), self._high), 0.0
-        from scipy.stats import truncnorm
-
-        first, second = truncnorm.stats((self._low - mean) / sd, (self._high - mean) / sd, mean, sd, moments="mv")
-        return float(first), math.sqrt(float(second))
-
 
 STATUSES = ("published", "fitted", "assumed", "measured")
 
@@ -190,30 +181,6 @@ class Parameter:
         sd, low, high = (None if number is None else number * factor for number in (self.sd, self.low, self.high))
         drawn = None if self.distribution is None else self.distribution.scaled(factor)
         return replace(self, value=self.value * factor, sd=sd, low=low, high=high, distribution=drawn, unit=unit)
-
-
-class Issue(ValueError):
-    """One thing wrong inside a quantity, at a key below it."""
-
-    def __init__(self, message: str, got: str = "", allowed: str = "", hint: str = "", at: tuple[str | int, ...] = ()):
-        super().__init__(message)
-        self.entry = {"message": message, "got": got, "allowed": allowed, "hint": hint, "at": at}
-
-
-class Issues(list[Issue]):
-    """What is wrong with one quantity; as a context, an issue that is raised is one more."""
-
-    def tell(self, message: str, got: str, allowed: str, hint: str = "", at: tuple[str | int, ...] = ()) -> None:
-        """One more thing that is wrong."""
-        self.append(Issue(message, got, allowed, hint, at))
-
-    def __enter__(self) -> Issues:
-        return self
-
-    def __exit__(self, kind: object, issue: BaseException | None, traceback: object) -> bool:
-        if isinstance(issue, Issue):
-            self.append(issue)
-        return isinstance(issue, Issue)
 
 
 def parameters(model: object) -> list[tuple[str, Parameter]]:

@@ -93,10 +93,10 @@ def unit_pattern(dimension: str, percent: bool = False) -> str:
     `dimension`: key of `units.DIMENSIONS`; empty for any unit. `percent`: whether ``%`` is a unit of it (slopes)."""
     if not dimension:
         return _NUMBER + r"\s*\S*.*$"
-    names = [unit for unit in units.units_of(dimension) if unit]
-    names += units.units_of("charge") if dimension == "energy" else []
+    names = [unit for unit in units.DIMENSIONS[dimension].units if unit]
+    names += units.DIMENSIONS["charge"].units if dimension == "energy" else []
     names += ["%"] if percent else []
-    every = {unit for one in units.DIMENSIONS for unit in units.units_of(one) if unit}
+    every = {unit for one in units.DIMENSIONS.values() for unit in one.units if unit}
     listed, others = (_either(some) for some in (names, every - set(names)))
     composed = rf"(?!(?:{others})\s*$)[A-Za-zµΩ°%][^\s*/^·]*\s*[*/^· ]\s*\S.*"
     return rf"{_NUMBER}\s*({listed}|{composed})?\s*$"

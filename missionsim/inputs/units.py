@@ -10,7 +10,7 @@ import functools
 import json
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,29 +19,43 @@ from missionsim.errors import did_you_mean
 
 _MOST_POWERS = 100
 """Product of all exponents of a unit: (m^9)^9 is no unit of anything."""
+_TOKEN = re.compile(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class Dimension:
-    """A kind of quantity: its SI unit inside, the unit of a plain number in YAML, an example for messages.
-
-    `exponents` are those of m, kg, s, A and K; an angle counts as a plain number.
-    """
+    """A kind of quantity: its SI unit inside, the unit of a plain number in YAML, an example for messages."""
 
     name: str
     si: str
     plain: str
     example: str
     pint: str
-    exponents: tuple[int, int, int, int, int]
+    exponents: Sequence[int]
+    """Of m, kg, s, A and K; an angle counts as a plain number."""
+    units: dict[str, float]
+    """Factors to SI of the units that robot files use; any other of pint's is known as well."""
+
+    def __str__(self) -> str:
+        """``a length such as 50 m``."""
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name} such as {self.example}"
+
+    def plain_to_si(self, number: float) -> float:
+        """A plain YAML number in the field's plain unit to SI (Wh to J, Ah to C; others unchanged)."""
+        return number * self.units.get("" if self.plain == "1" else self.plain, 1.0)
 
 
 _TABLE: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("units.json").read_text("utf-8"))
-_FACTORS: dict[str, dict[str, float]] = {name: told.pop("units") for name, told in _TABLE.items()}
-DIMENSIONS = {name: Dimension(name, **told | {"exponents": tuple(told["exponents"])}) for name, told in _TABLE.items()}
-_PLAIN = {name: _FACTORS[name].get("" if item.plain == "1" else item.plain, 1.0) for name, item in DIMENSIONS.items()}
-_DIMENSION_OF = {unit: name for name, table in reversed(_FACTORS.items()) for unit in table if unit}
+DIMENSIONS = {name: Dimension(name, **told) for name, told in _TABLE.items()}
+_OF = {unit: dimension for dimension in reversed(DIMENSIONS.values()) for unit in dimension.units if unit}
+_SIMPLE: dict[str, tuple[float | None, Sequence[int]]] = {
+    **{unit: (None if of.name == "temperature" else of.units[unit], of.exponents) for unit, of in _OF.items()},
+    "1": (1.0, (0, 0, 0, 0, 0)),
+    "K": (1.0, (0, 0, 0, 0, 1)),
+    "N": (None, (1, 1, -2, 0, 0)),
+}
+"""Units that stand in products: factor to SI (None: pint knows it) and exponents."""
 
 
 class UnitError(ValueError):
@@ -50,22 +64,6 @@ class UnitError(ValueError):
     def __init__(self, message: str, got: str, allowed: str, hint: str = "") -> None:
         super().__init__(message)
         self.message, self.got, self.allowed, self.hint = message, got, allowed, hint
-
-
-def allowed_text(dimension: str) -> str:
-    """``a length such as 50 m``."""
-    article = "an" if dimension[0] in "aeiou" else "a"
-    return f"{article} {dimension} such as {DIMENSIONS[dimension].example}"
-
-
-def units_of(dimension: str) -> tuple[str, ...]:
-    """Units of a dimension that robot files use; any other of pint's is known as well."""
-    return tuple(_FACTORS[dimension])
-
-
-def plain_to_si(number: float, dimension: str) -> float:
-    """A plain YAML number in the field's plain unit to SI (Wh to J, Ah to C; others unchanged)."""
-    return number * _PLAIN[dimension]
 
 
 def split(text: str) -> tuple[float, str] | None:
@@ -79,13 +77,17 @@ def split(text: str) -> tuple[float, str] | None:
 def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
     """Factor and offset to SI (``si = factor * number + offset``) of a unit of the wanted dimension. Raises UnitError:
     unknown unit, or a unit of another dimension."""
-    factor = _FACTORS[dimension].get(unit)
-    if factor is not None:
-        return factor, 0.0
-    other = _DIMENSION_OF.get(unit)
-    if other is None:
-        return _by_pint(unit, dimension)
-    raise UnitError(f"wrong unit: {unit} is a unit of {other}", unit, allowed_text(dimension))
+    of = DIMENSIONS[dimension]
+    if unit in of.units:
+        return of.units[unit], 0.0
+    if unit in _OF:
+        raise UnitError(f"wrong unit: {unit} is a unit of {_OF[unit].name}", unit, str(of))
+    quantity = _pint_unit(unit, str(of), of.units)
+    try:
+        zero, one = (float(_registry().Quantity(n, quantity.units).to(of.pint).magnitude) for n in (0.0, 1.0))
+    except Exception:
+        raise UnitError("wrong unit", repr(unit)[:60], str(of)) from None
+    return one - zero, zero
 
 
 def parse_quantity(text: str, dimension: str) -> float:
@@ -96,10 +98,10 @@ def parse_quantity(text: str, dimension: str) -> float:
     """
     parts = split(text)
     if parts is None:
-        raise UnitError("not a number with a unit", repr(text)[:60], allowed_text(dimension))
+        raise UnitError("not a number with a unit", repr(text)[:60], str(DIMENSIONS[dimension]))
     number, unit = parts
     if unit == "":
-        return plain_to_si(number, dimension)
+        return DIMENSIONS[dimension].plain_to_si(number)
     try:
         factor, offset = unit_factor(unit, dimension)
     except UnitError as problem:
@@ -109,10 +111,7 @@ def parse_quantity(text: str, dimension: str) -> float:
 
 def si_factor(unit: str) -> float | None:
     """Factor to SI of a unit of the table (``Wh``, ``%``, ``deg``), or None for any other."""
-    if unit == "%":
-        return 0.01
-    name = _DIMENSION_OF.get(unit)
-    return None if name is None or name == "temperature" else _FACTORS[name][unit]
+    return _SIMPLE[unit][0] if unit in _OF else None
 
 
 def parse_any(text: str) -> tuple[float, str]:
@@ -121,25 +120,19 @@ def parse_any(text: str) -> tuple[float, str]:
     parts = split(text)
     if parts is None:
         raise UnitError("not a number with a unit", repr(text)[:60], "a number, with a unit or without")
-    number, unit = parts
-    if not unit:
-        return number, ""
-    factor, si = any_unit(unit)
-    return number * factor, si
+    factor, si = any_unit(parts[1]) if parts[1] else (1.0, "")
+    return parts[0] * factor, si
 
 
 def any_unit(unit: str) -> tuple[float, str]:
     """Factor to coherent SI of any unit, and the SI unit's name (the unit itself where the factor is 1). Raises
     UnitError: unknown unit, or one with an offset (degC inside a product)."""
-    if unit == "%":
-        return 0.01, "1"
-    name = _DIMENSION_OF.get(unit)
-    if name is not None:
-        return _FACTORS[name][unit], DIMENSIONS[name].si
-    factor = _compound(unit)
-    if factor is not None and factor == 1.0:
+    if unit in _OF:
+        return _OF[unit].units[unit], _OF[unit].si
+    known = _product(unit)
+    if known is not None and known[0] == 1.0:
         return 1.0, unit
-    quantity = _pint_unit(unit, "a unit such as W s/m", _DIMENSION_OF)
+    quantity = _pint_unit(unit, "a unit such as W s/m", _OF)
     try:
         base = quantity.to_base_units()
     except Exception:
@@ -148,68 +141,47 @@ def any_unit(unit: str) -> tuple[float, str]:
     return size, unit if math.isclose(size, 1.0) else f"{base.units:~}"
 
 
-_TOKEN = re.compile(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?")
-
-
-def _factors_of(unit: str) -> list[tuple[str, int]] | None:
-    """Simple units of a product (``W s^2/m^2``, ``W/(m/s)^2``) and their exponents; None where pint has to read it."""
-    flat = unit.replace("**", "^").replace("*", " ").replace("·", " ")
-    flat = re.sub(r"\(m/s\)\^(\d)", r"m^\1 s^-\1", re.sub(r"\s*\^\s*", "^", flat))
-    if "(" in flat:
-        return None
-    found = []
-    for index, part in enumerate(flat.split("/")):
-        for token in part.split():
-            match = _TOKEN.fullmatch(token)
-            if match is None:
-                return None
-            found.append((match.group(1), int(match.group(2) or 1) * (1 if index == 0 else -1)))
-    return found
-
-
-def _compound(unit: str) -> float | None:
-    """Factor of a product of known units, or None where pint has to read it."""
-    factor = 1.0
-    parts = _factors_of(unit)
-    for name, power in parts or ():
-        base = 1.0 if name in ("1", "K") else next((table[name] for table in _FACTORS.values() if name in table), None)
-        if base is None or name in _FACTORS["temperature"]:
-            return None
-        factor *= base**power
-    return None if parts is None else factor
-
-
 def same_dimension(unit: str, other: str) -> bool:
     """Whether two units, simple or compound, measure the same kind of quantity (``N`` and ``W s/m`` do). A unit that
     cannot be read here counts as the same: reading the number has told that fault already."""
     if unit == other:
         return True
-    first, second = _dimension(unit), _dimension(other)
+    first, second = _exponents(unit), _exponents(other)
     return first is None or second is None or first == second
 
 
-def _dimension(unit: str) -> tuple[int, ...] | None:
+def _exponents(unit: str) -> tuple[int, ...] | None:
     """Exponents of m, kg, s, A, K; None for a unit that neither the table nor pint knows."""
-    total = [0, 0, 0, 0, 0]
-    parts = _factors_of(unit)
-    if parts is None:
-        return _dimension_by_pint(unit)
-    for base, power in parts:
-        name = {"1": "number", "%": "number", "K": "temperature"}.get(base, _DIMENSION_OF.get(base))
-        if name is None and base != "N":
-            return _dimension_by_pint(unit)
-        exponents = DIMENSIONS[name].exponents if name is not None else (1, 1, -2, 0, 0)
-        total = [old + power * new for old, new in zip(total, exponents, strict=True)]
-    return tuple(total)
-
-
-def _dimension_by_pint(unit: str) -> tuple[int, ...] | None:
+    known = _product(unit)
+    if known is not None:
+        return known[1]
     try:
         found = _pint_unit(unit, "", ()).dimensionality
     except UnitError:
         return None
     axes = ("[length]", "[mass]", "[time]", "[current]", "[temperature]")
     return tuple(round(float(found.get(axis, 0))) for axis in axes)
+
+
+def _product(unit: str) -> tuple[float | None, tuple[int, ...]] | None:
+    """Factor and exponents of a product of simple units (``W s^2/m^2``, ``W/(m/s)^2``), where the table has all their
+    factors; None where pint has to read it."""
+    flat = unit.replace("**", "^").replace("*", " ").replace("·", " ")
+    flat = re.sub(r"\(m/s\)\^(\d)", r"m^\1 s^-\1", re.sub(r"\s*\^\s*", "^", flat))
+    if "(" in flat:
+        return None
+    factor: float | None = 1.0
+    total = [0, 0, 0, 0, 0]
+    for index, part in enumerate(flat.split("/")):
+        for token in part.split():
+            match = _TOKEN.fullmatch(token)
+            if match is None or match[1] not in _SIMPLE:
+                return None
+            size, exponents = _SIMPLE[match[1]]
+            power = int(match[2] or 1) * (1 if index == 0 else -1)
+            factor = None if factor is None or size is None else factor * size**power
+            total = [old + power * new for old, new in zip(total, exponents, strict=True)]
+    return factor, tuple(total)
 
 
 def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
@@ -229,24 +201,10 @@ def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
     except pint.OffsetUnitCalculusError:
         raise UnitError("unit with an offset", repr(unit), allowed) from None
     except Exception:  # pint raises whatever its tokenizer meets (TypeError, AttributeError, TokenError…)
-        raise UnitError("unknown unit", repr(unit)[:60], allowed, _close_unit(unit, list(known))) from None
-
-
-def _close_unit(unit: str, known: list[str]) -> str:
-    same = [name for name in known if name.lower() == unit.lower()]
-    return same[0] if same else did_you_mean(unit, known, 0.5)
-
-
-def _by_pint(unit: str, dimension: str) -> tuple[float, float]:
-    allowed = allowed_text(dimension)
-    quantity = _pint_unit(unit, allowed, _FACTORS[dimension])
-    try:
-        target = DIMENSIONS[dimension].pint
-        zero = _registry().Quantity(0.0, quantity.units).to(target)
-        one = _registry().Quantity(1.0, quantity.units).to(target)
-    except Exception:
-        raise UnitError("wrong unit", repr(unit)[:60], allowed) from None
-    return float(one.magnitude - zero.magnitude), float(zero.magnitude)
+        names = list(known)
+        same = [name for name in names if name.lower() == unit.lower()]
+        hint = same[0] if same else did_you_mean(unit, names, 0.5)
+        raise UnitError("unknown unit", repr(unit)[:60], allowed, hint) from None
 
 
 @functools.cache
