@@ -99,7 +99,7 @@ def test_what_cannot_be_written_is_told_before_anything_is_computed(
     (tmp_path / "folder").mkdir()
     before = sorted(tmp_path.rglob("*"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("missionsim.inputs.loading._finish", lambda *_: pytest.fail("was computed"))
+    monkeypatch.setattr("missionsim.inputs.loading._finished", lambda *_, **__: pytest.fail("was computed"))
     assert run_command(command) == 2
     out, err = capsys.readouterr()
     assert told in err
