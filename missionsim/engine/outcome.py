@@ -51,7 +51,9 @@ def edges_driven(
     """The edges of a run in order; standing on them (obstacles) belongs to them. `rows`: of the recorder, as many as
     `line` has intervals; `line`, `energies`, `charge_wh`: as in `missionsim.engine.outcome.RunResult`."""
     leg_of = np.array([row.leg for row in rows], dtype=np.intp)
-    starts = np.flatnonzero(np.append(True, leg_of[1:] != leg_of[:-1])) if len(leg_of) else leg_of
+    if not len(leg_of):
+        return []
+    starts = np.flatnonzero(np.append(True, leg_of[1:] != leg_of[:-1]))
     spans: list[list[int]] = []
     last: Leg | None = None
     reached_m = 0.0

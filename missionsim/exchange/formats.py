@@ -33,7 +33,7 @@ def _is_order(data: dict[str, Any]) -> bool:
 
 FORMATS = (
     Format("Nav2 route graph", lambda data: data.get("type") == "FeatureCollection", nav2.read),
-    Format("layout interchange format", _keys("layouts"), vda5050.read_layout),
+    Format("layout interchange format", lambda data: "layouts" in data or "origins" in data, vda5050.read_layout),
     Format("VDA 5050 order", _is_order, vda5050.read),
     Format("QGroundControl plan", _keys("mission"), qgc.read),
     Format("QGroundControl plan", _keys("items", "plannedHomePosition"), qgc.read),

@@ -15,6 +15,8 @@ from missionsim.exchange.site import LocalPlane, Site, clean, says_charger, smoo
 from missionsim.exchange.source import Element, Faults
 from missionsim.physics import Array
 
+_USED = {"gpx": {"trk", "rte", "wpt"}, "trk": {"name", "trkseg"}, "trkseg": {"trkpt"}, "rte": {"name", "rtept"}}
+_POINT_USED = {"ele", "name"}
 _NEAR_M = 30.0
 """A waypoint this near a track is a place of it."""
 Point = tuple[float, float, float, str, int]
@@ -39,6 +41,7 @@ def read(root: Element, site: Site, faults: Faults) -> None:
         faults.add(root.line, "a GPX file without tracks, routes and waypoints")
     if faults.found:
         return
+    _left(root, site)
     plane = site.plane([point[:2] for point in every])
     chains = [chain for name, points, is_track in ways if len(chain := _chain(name, points, is_track, plane, site)) > 1]
     for latitude, longitude, _, name, line in marks:
@@ -52,6 +55,15 @@ def read(root: Element, site: Site, faults: Faults) -> None:
                 gap = site.straight(before[-1], chain[0]) or 0.0
                 site.tell(f"a straight way of {gap:.0f} m from the end of a track to the start of the next is assumed")
             site.segments.append({"drive": {"along": chain[1:] if before is None or before[-1] == chain[0] else chain}})
+
+
+def _left(element: Element, site: Site) -> None:
+    """Tell what of an element and of those in it has no place in ours."""
+    for child in element.children:
+        if child.tag in _USED.get(element.tag, _POINT_USED):
+            _left(child, site)
+        else:
+            site.tell(f"left out: {clean(child.tag)[:40]} of a {element.tag}", child.line)
 
 
 def _points(parent: Element, tag: str, faults: Faults) -> list[Point]:

@@ -137,7 +137,7 @@ def _speed(edge: Value, site: Site) -> float | None:
 
 def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> None:
     """Tell what of a node or edge has no place in an environment."""
-    for key in ("operations", "overridable"):
+    for key in ("operations", "overridable", "frame"):
         if found := properties.get(key):
             site.tell(f"left out: {key} of {what}", found.line)
     if (metadata := properties.get("metadata")) and isinstance(metadata.data, dict):
@@ -180,13 +180,14 @@ def export_costs(
     site = Site(str(path), "Nav2 route graph", "", SiteOptions(robot))
     read(root, site)
     faults.stop()
-    known = {edge["name"]: edge for edge in site.edges}
+    known = iter(site.edges)  # one for each edge of the file that leads to another node; ids may stand twice
     top = robot.body.max_speed.value
     edges = [feature.get("properties") for feature in root.entries("features") if _is_edge(feature)]
     drives: dict[tuple[float, float], float] = {}
     wanted = []
     for properties in edges:
-        edge = known.get(str(properties.fields["id"]), {}) if properties else {}
+        same = properties is None or properties.fields["startid"] == properties.fields["endid"]
+        edge = {} if same else next(known)
         limit = min(top, speed or top, edge.get("max_speed") or top)
         slope = edge.get("slope", 0.0)
         speeds = [limit * share for share in (np.linspace(0.1, 1.0, 19) if best_speed else [1.0])]
@@ -215,6 +216,8 @@ def export_costs(
     for begin, end, new in sorted(edits, reverse=True):
         body = body[:begin] + new + body[end:]
     remarks = ["starts, stops and turns are not in the costs: a route knows them, an edge does not"]
+    if len(told) < len(edges):
+        remarks.append(f"{len(edges) - len(told)} edges from a node to itself stay as they are")
     if negative:
         remarks.append(
             f"{negative} edges give energy back: their cost is 0, since the route server takes no negative one"

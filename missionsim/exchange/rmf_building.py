@@ -7,16 +7,19 @@ the reference level by the fiducials that both have (rotation, scale, shift), as
 from __future__ import annotations
 
 import cmath
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from missionsim.exchange.site import Site, mercator_to_degrees
+from missionsim.exchange.site import Site, clean, mercator_to_degrees
 from missionsim.exchange.source import Value
 
 _SYSTEMS = ("reference_image", "wgs84", "web_mercator", "cartesian_meters")
 _LANE_USED = {"bidirectional", "is_bidirectional", "graph_idx", "speed_limit"}
 _VERTEX_USED = {"is_charger", "lift_cabin", "name"}
-_PARTS = ("walls", "doors", "floors", "models", "layers", "holes", "zones")
+_USED = {"building_name", "name", "coordinate_system", "levels", "lifts", "reference_level_name", "graphs"}
+_LEVEL_USED = {"vertices", "lanes", "measurements", "fiducials", "elevation", "drawing", "x_meters", "y_meters"}
+_LEVEL_USED |= {"flattened_x_offset", "flattened_y_offset"}
 
 
 @dataclass
@@ -41,6 +44,7 @@ def read(root: Value, site: Site) -> None:
     system = root.word("coordinate_system") or "reference_image"
     if system not in _SYSTEMS and (found := root.get("coordinate_system")):
         found.fault("an unknown coordinate system", ", ".join(_SYSTEMS))
+    _left(root, _USED, site)
     levels = {name: _Level(name, value) for name, value in root.items("levels")}
     for level in levels.values():
         _read_level(level, site, -1.0 if system in ("reference_image", "web_mercator") else 1.0)
@@ -79,11 +83,15 @@ def _read_level(level: _Level, site: Site, flip: float) -> None:
         parameters = _parameters(parts[2]) if len(parts) > 2 else {}
         if site.options.graph is None or parameters.get("graph_idx", 0) == site.options.graph:
             level.lanes.append((ends[0], ends[1], parameters, lane))
-    for part in _PARTS:
-        if (found := level.value.get(part)) and found.data:
-            site.tell(f"left out: {part}", found.line)
+    _left(level.value, _LEVEL_USED, site)
     if (height := level.value.get("elevation")) and height.data:
         site.tell("left out: elevation of a level; lanes are level ground", level.value.line)
+
+
+def _left(value: Value, used: set[str], site: Site) -> None:
+    for key, part in value.items():
+        if part.data and key not in used:
+            site.tell(f"left out: {clean(key)[:40]}", part.line)
 
 
 def _index(part: Value, level: _Level) -> int | None:
@@ -149,7 +157,8 @@ def _measured(level: _Level, site: Site) -> float | None:
     if site.options.scale is not None:
         return site.options.scale
     if level.lanes or any(level.points):
-        level.value.fault("a level without measurements: how long a pixel is, nobody knows", "--scale METRES_PER_PIXEL")
+        known = "--scale METRES_PER_PIXEL (Open-RMF itself takes 1 here)"
+        level.value.fault("a level without measurements: how long a pixel is, nobody knows", known)
     return None
 
 
@@ -164,13 +173,18 @@ def _fiducials(level: _Level) -> dict[str, complex]:
 
 
 def _project(levels: dict[str, _Level], site: Site, mercator: bool) -> None:
-    """Degrees (x is the longitude) or web Mercator metres to metres around the middle."""
+    """Degrees (x is the longitude) or web Mercator to metres around the middle. Web Mercator: the editor draws the
+    world 256 wide, y downwards; larger numbers are metres."""
     degrees = {}
+    every = [point for level in levels.values() for point in level.points if point is not None]
+    drawn = all(0 <= point.real <= 256 and 0 <= -point.imag <= 256 for point in every)
+    shift, unit = (complex(-128, 128), math.pi * 6_378_137.0 / 128) if drawn else (0j, 1.0)
     for level in levels.values():
         for index, point in enumerate(level.points):
             if point is None:
                 continue
-            where = mercator_to_degrees(point.real, point.imag) if mercator else (point.imag, point.real)
+            metres = (point + shift) * unit
+            where = mercator_to_degrees(metres.real, metres.imag) if mercator else (point.imag, point.real)
             if abs(where[0]) > 90 or abs(where[1]) > 360:
                 level.vertices[index].fault("no longitude and latitude", "-180 to 180 and -90 to 90, degrees")
                 return

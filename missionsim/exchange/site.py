@@ -64,7 +64,7 @@ class LocalPlane:
 
 def mercator_to_degrees(x: float, y: float) -> tuple[float, float]:
     """Latitude and longitude of web Mercator metres (EPSG:3857)."""
-    return math.degrees(2 * math.atan(math.exp(y / _A)) - math.pi / 2), math.degrees(x / _A)
+    return math.degrees(2 * math.atan(math.exp(min(y / _A, 700.0))) - math.pi / 2), math.degrees(x / _A)
 
 
 def nurbs_length(

@@ -1,4 +1,4 @@
-"""VDA 5050 orders (1.1 to 3.0), and the layouts of the VDMA (LIF 1.x) beside them: both share trajectories.
+"""VDA 5050 orders (1.1 to 3.0), and the layouts of the VDMA (LIF 1 and 2) beside them: both share trajectories.
 
 Orders: nodes and edges in the order of their sequenceId, with actions. Format: VDA 5050, "Interface for the
 communication between automated guided vehicles and a master control", and its JSON schema of the order. Speed limits
@@ -17,20 +17,26 @@ from itertools import pairwise
 from typing import Any
 
 from missionsim.errors import InputError
-from missionsim.exchange.site import Site, nurbs_length, says_charger
+from missionsim.exchange.site import Site, clean, nurbs_length, says_charger
 from missionsim.exchange.source import Value
 from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
 
-_PROPERTIES_USED = {"vehicleTypeId", "maxSpeed", "trajectory"}
+_NODE_KEYS = ("vehicleTypeNodeProperties", "mobileRobotTypeNodeProperties")
+_EDGE_KEYS = ("vehicleTypeEdgeProperties", "mobileRobotTypeEdgeProperties")
+_ACTION_KEYS = ("actions", "requiredActions", "feasibleActions")
+_PROPERTIES_USED = {"vehicleTypeId", "mobileRobotTypes", "maxSpeed", "maximumSpeed", "trajectory"}
 
 
 def read_layout(root: Value, site: Site) -> None:
     """Fill the site: all layouts, since they share one origin."""
     meta = root.get("metaInformation")
-    site.title = meta.word("projectIdentification") if meta else ""
-    layouts = root.entries("layouts")
-    vehicles = {v.word("vehicleTypeId") for layout in layouts for v in _vehicles(layout)} - {""}
+    site.title = (meta.word("projectIdentification") or meta.word("lifId")) if meta else ""
+    origins = root.entries("origins")
+    layouts = [layout for part in (root, *origins) for layout in part.entries("layouts")]
+    if len(origins) > 1:
+        site.tell("layouts of several origins: how they lie to each other is not in the file, one origin is assumed")
+    vehicles = {name for layout in layouts for one in _vehicles(layout) for name in _types(one)}
     if (wanted := site.options.vehicle) and wanted not in vehicles:
         root.fault(f"no edge or node is for vehicle type '{wanted}'", ", ".join(sorted(vehicles)) or "none")
         return
@@ -53,13 +59,17 @@ def read_layout(root: Value, site: Site) -> None:
 
 
 def _vehicles(layout: Value) -> list[Value]:
-    keys = (("nodes", "vehicleTypeNodeProperties"), ("edges", "vehicleTypeEdgeProperties"))
-    return [found for items, key in keys for item in layout.entries(items) for found in item.entries(key)]
+    keys = (("nodes", _NODE_KEYS), ("edges", _EDGE_KEYS))
+    return [found for items, key in keys for item in layout.entries(items) for found in item.entries(*key)]
 
 
-def _properties(item: Value, key: str, vehicle: str | None) -> list[Value]:
-    found = item.entries(key)
-    return [one for one in found if one.word("vehicleTypeId") == vehicle] if vehicle else found
+def _types(one: Value) -> set[str]:
+    """Types of vehicle that properties are for: one id (1.x), or names of series (2.0)."""
+    return {one.word("vehicleTypeId"), *(kind.word("seriesName") for kind in one.entries("mobileRobotTypes"))} - {""}
+
+
+def _properties(item: Value, keys: tuple[str, ...], vehicle: str | None) -> list[Value]:
+    return [one for one in item.entries(*keys) if not vehicle or vehicle in _types(one)]
 
 
 def _layout_node(node: Value, site: Site, names: dict[str, str]) -> None:
@@ -72,8 +82,8 @@ def _layout_node(node: Value, site: Site, names: dict[str, str]) -> None:
     if identity in names:
         node.fault("a node's id stands twice", "nodeId of its own")
         return
-    properties = _properties(node, "vehicleTypeNodeProperties", site.options.vehicle)
-    actions = [action for one in properties for action in one.entries("actions")]
+    properties = _properties(node, _NODE_KEYS, site.options.vehicle)
+    actions = [action for one in properties for key in _ACTION_KEYS for action in one.entries(key)]
     charges = any(action.word("actionType").lower() == "startcharging" for action in actions)
     for action in actions:
         if action.word("actionType").lower() != "startcharging":
@@ -82,14 +92,14 @@ def _layout_node(node: Value, site: Site, names: dict[str, str]) -> None:
     if heading is not None and abs(heading) > 2 * math.pi:
         site.tell("left out: theta of a node beyond 2 pi (the format has radians)", node.line)
         heading = None
-    title = node.word("nodeName") or node.word("nodeDescription")
+    title = node.word("nodeName") or node.word("nodeDescription") or node.word("nodeDescriptor")
     charger = site.options.charger if charges else None
     where = (numbers[0], numbers[1])
     names[identity] = site.place(identity, where, title=title, heading=heading, charger=charger)
 
 
 def _station(station: Value, site: Site, names: dict[str, str]) -> None:
-    words = [station.word(key) for key in ("stationId", "stationName", "stationDescription")]
+    words = [station.word(key) for key in ("stationId", "stationName", "stationDescription", "stationDescriptor")]
     charges = says_charger(*words)
     for node in station.entries("interactionNodeIds"):
         if (name := node.named(names)) is None:
@@ -106,13 +116,14 @@ def _station(station: Value, site: Site, names: dict[str, str]) -> None:
 
 def _layout_edge(edge: Value, site: Site, names: dict[str, str]) -> None:
     start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startNodeId", "endNodeId"))
-    properties = _properties(edge, "vehicleTypeEdgeProperties", site.options.vehicle)
+    properties = _properties(edge, _EDGE_KEYS, site.options.vehicle)
     if site.options.vehicle and not properties:
         site.tell(f"left out: edge that {site.options.vehicle} may not use", edge.line)
         return
     if start is None or end is None:
         return
-    speeds = [speed for one in properties if (speed := one.optional("maxSpeed", 0.0, 60.0))]
+    limits = [limit for one in properties if (limit := one.get("maxSpeed", "maximumSpeed"))]
+    speeds = [speed for limit in limits if (speed := limit.number(0.0, 60.0))]
     drawn = [trajectory for one in properties if (trajectory := one.get("trajectory")) is not None]
     lengths = [length for one in drawn if (length := trajectory_length(one, site, 3)) is not None]
     for one in properties:
@@ -159,11 +170,14 @@ def read(root: Value, site: Site) -> None:
     """Fill the site; the order is its mission."""
     site.name = root.word("orderId") or site.name
     site.title = root.word("orderDescription")
+    if zones := root.word("zoneSetId"):
+        site.tell(f"left out: zones '{clean(zones)[:40]}'", root.line)
     nodes = _ordered(root, "nodes")
     edges = dict(_ordered(root, "edges"))
     if not nodes:
         root.fault("an order without nodes", "at least one node")
         return
+    site.speed = site.options.robot.body.max_speed.value if site.options.robot else None
     names: dict[str, str] = {}
     here = ""
     for number, node in nodes:
@@ -181,8 +195,7 @@ def read(root: Value, site: Site) -> None:
     if not site.segments and here:
         site.segments.append({"wait": {"duration": 0.0}})
     speeds = [speed for edge in site.edges if (speed := edge.get("max_speed"))]
-    fastest = site.options.robot.body.max_speed.value if site.options.robot else None
-    site.speed = fastest if fastest is not None else max(speeds, default=None)
+    site.speed = site.speed or max(speeds, default=None)
     if site.speed and any(edge.get("max_speed") is None or edge["max_speed"] > site.speed for edge in site.edges):
         site.tell(f"an order gives limits and no speeds: driven at the limit, at most {site.speed:g} m/s")
 
@@ -232,21 +245,23 @@ def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> 
             given.fault("the edge stands between other nodes", ends)
     site.left_out("an edge", edge.items(), _EDGE_USED)
     trajectory = edge.get("trajectory")
-    length = edge.optional("length", 0.0, 1e9)
-    if trajectory is not None:
+    length = edge.optional("length", 0.0, 1e9) or None
+    if trajectory is not None and trajectory.entries("controlPoints"):  # ROS messages have an empty one where none is
         length = trajectory_length(trajectory, site, 1) or length
     if length is None and site.straight(start, end) is None:
         edge.fault("how long this edge is, is unknown: its nodes have no position", "nodePosition of both, or length")
         return
     limit = edge.get("maxSpeed", "maximumSpeed")
-    speed = limit.number(1e-3, 60.0) if limit else None
+    speed = (limit.number(0.0, 60.0) if limit else None) or None
+    if limit and limit.data == 0:
+        site.tell("left out: a speed limit of 0", limit.line)
     if start != end:
         known = any(e["from"] == start and e["to"] == end for e in site.edges)
         if not known:
             site.edge(start, end, edge.line, name=edge.word("edgeId"), length=length, max_speed=speed)
         elif speed is not None:
             site.tell("an edge is driven again: its first limit holds", edge.line)
-        site.segments.append({"drive": {"to": end} | ({"speed": speed} if speed and not site.speed else {})})
+        site.segments.append({"drive": {"to": end} | ({"speed": min(speed, site.speed or speed)} if speed else {})})
     for action in edge.entries("actions"):
         site.tell("left out: action on an edge", action.line)
 

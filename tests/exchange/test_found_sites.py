@@ -1,0 +1,132 @@
+"""What files found in the wild hold and the examples do not: ids that stand twice, empty parts, newer keys."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from missionsim.cli.app import run_command
+from missionsim.exchange.formats import import_site
+from missionsim.exchange.nav2 import export_costs
+from missionsim.exchange.site import Site, SiteOptions
+from missionsim.inputs.loading import load_robot
+
+
+def site_of(path: Path, content: object, **options: Any) -> Site:
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return import_site(path, SiteOptions(**options))
+
+
+def lengths(site: Site) -> list[float]:
+    return [edge.get("length") or site.straight(edge["from"], edge["to"]) or 0.0 for edge in site.edges]
+
+
+def graph(*ends: tuple[int, int]) -> dict[str, Any]:
+    """Nodes 0 to 2 at x = 0, 3 and 10; all edges share one id."""
+    nodes = [
+        {"properties": {"id": i, "frame": "map"}, "geometry": {"type": "Point", "coordinates": [x, 0]}}
+        for i, x in enumerate((0, 3, 10))
+    ]
+    edges = [{"properties": {"id": 9, "startid": a, "endid": b}, "geometry": {"type": "LineString"}} for a, b in ends]
+    return {"type": "FeatureCollection", "features": [*nodes, *edges]}
+
+
+def test_costs_belong_to_the_edge_and_not_to_its_id(tmp_path: Path) -> None:
+    path = tmp_path / "g.geojson"
+    assert lengths(site_of(path, graph((0, 0), (0, 1), (1, 2)))) == [3.0, 7.0]
+    found = export_costs(path, load_robot("pioneer3dx"))
+    assert [edge["length_m"] for edge in found.edges] == [3.0, 7.0]
+    costs = [feature["properties"].get("cost") for feature in json.loads(found.raw)["features"][3:]]
+    assert costs == [None, *(pytest.approx(edge["cost"], rel=1e-5) for edge in found.edges)]
+    assert "1 edges from a node to itself stay as they are" in found.remarks
+
+
+def test_web_mercator_of_the_editor_is_256_wide(tmp_path: Path) -> None:
+    # 0.001 degrees of longitude on the equator, and the same northwards: y goes down in the file
+    a = 128 * (1 + 103.8 / 180)
+    b = 128 * (1 + 103.801 / 180)
+    north = 128 - 128 / math.pi * math.log(math.tan(math.pi / 4 + math.radians(0.001) / 2))
+    text = f"""coordinate_system: web_mercator
+crowd_sim: {{enable: 0}}
+name: city
+levels:
+  L1:
+    vertices:
+      - [{a!r}, 128, 0, start]
+      - [{b!r}, 128, 0, east]
+      - [{a!r}, {north!r}, 0, north]
+    lanes:
+      - [0, 1, {{bidirectional: [4, true]}}]
+      - [0, 2, {{}}]
+    human_lanes:
+      - [0, 1, {{}}]
+"""
+    site = site_of(tmp_path / "city.building.yaml", text)
+    assert lengths(site) == pytest.approx([111.3195, 110.5743], rel=1e-5)
+    assert site.places["north"]["y"] > site.places["start"]["y"]
+    assert {"left out: crowd_sim", "left out: human_lanes"} <= set(site.remarks)
+
+
+def layout(**edge: Any) -> dict[str, Any]:
+    kinds = [{"manufacturer": "A", "seriesName": "cart"}, {"manufacturer": "B", "seriesName": "truck"}]
+    charging = {"mobileRobotTypes": kinds, "feasibleActions": [{"actionType": "startCharging"}]}
+    nodes = [{"nodeId": i, "mapId": "m", "nodePosition": {"x": x, "y": 0}} for i, x in (("N1", 0), ("N2", 10))]
+    nodes[0]["mobileRobotTypeNodeProperties"] = [charging]
+    properties = [{"mobileRobotTypes": kinds[:1], **edge}, {"mobileRobotTypes": kinds[1:], "maximumSpeed": 0.5}]
+    way = {"edgeId": "E", "startNodeId": "N1", "endNodeId": "N2", "mobileRobotTypeEdgeProperties": properties}
+    part = {"layoutId": "L", "nodes": nodes, "edges": [way]}
+    return {"metaInformation": {"lifId": "hall", "lifVersion": "2.0.0"}, "origins": [{"layouts": [part]}]}
+
+
+def test_layouts_of_version_2(tmp_path: Path) -> None:
+    content = layout(maximumSpeed=1.5, reachOrientationBeforeEntering=True)
+    site = site_of(tmp_path / "l.json", content)
+    assert (site.chargers, site.title, lengths(site)) == (["N1"], "hall", [10.0])
+    assert [edge["max_speed"] for edge in site.edges] == [0.5]
+    assert "left out: reachOrientationBeforeEntering of an edge" in site.remarks
+    cart = site_of(tmp_path / "l.json", content, vehicle="cart")
+    assert [edge["max_speed"] for edge in cart.edges] == [1.5]
+    content["origins"].append({"layouts": []})
+    assert any("several origins" in message for message in site_of(tmp_path / "l.json", content).remarks)
+
+
+def order(*limits: float) -> dict[str, Any]:
+    """Nodes 10 m apart; edges as a ROS message writes them: what is not given is empty or 0."""
+    nodes = [
+        {"nodeId": f"n{i}", "sequenceId": 2 * i, "released": True, "nodePosition": {"x": 10 * i, "y": 0}, "actions": []}
+        for i in range(len(limits) + 1)
+    ]
+    unset = {"length": 0.0, "trajectory": {"degree": 0.0, "knotVector": [], "controlPoints": []}, "actions": []}
+    edges = [
+        {"edgeId": f"e{i}", "sequenceId": 2 * i + 1, "released": True, "maxSpeed": limit, **unset}
+        for i, limit in enumerate(limits)
+    ]
+    return {"orderId": "o", "zoneSetId": "z", "nodes": nodes, "edges": edges}
+
+
+@pytest.mark.parametrize("limits", [(10.0, 0.3, 0.0), ()])
+def test_order_with_limits_above_the_robot_and_empty_parts_is_driven(limits: tuple[float, ...], tmp_path: Path) -> None:
+    path, out, mission = tmp_path / "o.json", tmp_path / "s.yaml", tmp_path / "m.yaml"
+    path.write_text(json.dumps(order(*limits)))
+    arguments = ["import-site", str(path), "--out", str(out), "--mission", str(mission), "--robot", "pioneer3dx"]
+    assert run_command([*arguments, "--quiet"]) == 0
+    assert run_command(["run", str(mission), "--json", str(tmp_path / "run.json"), "--quiet"]) == 0
+    site = import_site(path, SiteOptions(load_robot("pioneer3dx")))
+    assert [segment["drive"].get("speed") for segment in site.segments if "drive" in segment] == (
+        [0.75, 0.3, None] if limits else []
+    )
+    assert "left out: zones 'z'" in site.remarks
+    assert not any("straight" in message for message in site.remarks)
+
+
+def test_what_a_track_holds_beside_its_way_is_told(tmp_path: Path) -> None:
+    point = '<trkpt lat="47.0" lon="8.{}"><ele>400</ele><time>2026-01-01T00:00:00Z</time><hdop>1</hdop></trkpt>'
+    points = "".join(point.format(i) for i in (1, 2))
+    text = f"<gpx>\n<metadata/><trk><name>a</name><type>run</type><trkseg>{points}</trkseg></trk></gpx>"
+    remarks = site_of(tmp_path / "t.gpx", text).remarks
+    assert {f"left out: {what}" for what in ("metadata of a gpx", "type of a trk", "hdop of a trkpt")} <= set(remarks)
+    assert remarks["left out: time of a trkpt"].count == 2
