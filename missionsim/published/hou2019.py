@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,8 @@ from missionsim.published.figures import Figure, Ours, load_figures, mission, ru
 
 PAPER = "hou2019"
 START = "mecanum4/start_straight"
+TABLES = {"3": "motion", "4": "robot"}
+"""Table of the start → whose power it prints."""
 MOTION_TERMS = ("wheel_friction", "roller_friction", "copper_loss", "kinetic", "lifting")
 """Terms of the motion system (the paper's Table 3); the rest is control, sensors and communication (Table 4)."""
 
@@ -22,7 +23,32 @@ MOTION_TERMS = ("wheel_friction", "roller_friction", "copper_loss", "kinetic", "
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
-    return dict(chain(_tables(figures), _constants(figures), _accuracy(figures), _directions(figures), _inputs()))
+    found: dict[str, Ours] = {}
+    times, _ = table_series(figures, "3", "measured")
+    powers = start_powers(times)
+    for table, name in TABLES.items():
+        for i, time in enumerate(times):
+            found[f"table{table}.t{time:.1f}.speed"] = Ours(float(powers["speed"][i]))
+            found[f"table{table}.t{time:.1f}.measured"] = Ours(float(powers[name][i]))
+    for key in figures:
+        if key.endswith(".mean") and key.startswith("table"):
+            stem = key.removesuffix(".mean")
+            found[key] = Ours(0.5 * (figures[f"{stem}.front"].value + figures[f"{stem}.back"].value))
+    first = [f.value for key, f in figures.items() if key.startswith(("table1.left", "table1.right"))]
+    second = [f.value for key, f in figures.items() if key.startswith(("table2.left", "table2.right"))]
+    found["table2.differs"] = Ours(float(sum(a != b for a, b in zip(first, second, strict=True))))
+    (_, mean, most), (_, mean_robot, most_robot) = model_errors(figures)["paper"].values()
+    columns = "the paper's own columns"
+    found["acc.abstract"] = Ours(100.0 - max(mean, mean_robot), columns)
+    found["acc.motion"] = Ours(100.0 - mean, columns)
+    found["acc.motion.pointwise"] = Ours(100.0 - most, f"{columns}, worst sample")
+    found["acc.robot"] = Ours(100.0 - mean_robot, columns)
+    found["acc.robot.pointwise"] = Ours(100.0 - most_robot, f"{columns}, worst sample")
+    line = run(START).timeline
+    ramp = np.asarray(line.duration_s)[np.asarray(line.columns["accel_m_s2"]) > 0.0]
+    found["time.max"] = Ours(float(np.sum(ramp)), "simulated start")
+    found["wheels"] = Ours(float(len(mecanum.wheel_speeds(1.0))))
+    return found | dict(_directions(figures))
 
 
 def start_powers(times_s: Array) -> dict[str, Array]:
@@ -48,51 +74,16 @@ def start_powers(times_s: Array) -> dict[str, Array]:
     }
 
 
-def _tables(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    times, _ = table_series(figures, "3", "measured")
-    powers = start_powers(times)
-    for table, name in (("3", "motion"), ("4", "robot")):
-        for i, time in enumerate(times):
-            key = f"table{table}.t{time:.1f}"
-            yield f"{key}.speed", Ours(float(powers["speed"][i]))
-            yield f"{key}.measured", Ours(float(powers[name][i]))
-
-
-def _constants(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    for key in figures:
-        if key.endswith(".mean") and key.startswith("table"):
-            stem = key.removesuffix(".mean")
-            yield key, Ours(0.5 * (figures[f"{stem}.front"].value + figures[f"{stem}.back"].value))
-    first = [f.value for key, f in figures.items() if key.startswith(("table1.left", "table1.right"))]
-    second = [f.value for key, f in figures.items() if key.startswith(("table2.left", "table2.right"))]
-    yield "table2.differs", Ours(float(sum(a != b for a, b in zip(first, second, strict=True))))
-
-
-def paper_errors(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float, float]]:
-    """RMSE (W), mean and greatest absolute error (%) of the paper's own model, by table, from its printed columns."""
+def model_errors(figures: Mapping[str, Figure]) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """RMSE (W), mean and greatest absolute error (%) by table: of the paper's own model, from its printed columns, and
+    of the shipped robot file."""
+    measured = {table: table_series(figures, table, "measured") for table in TABLES}
+    powers = start_powers(measured["3"][0])
+    made = {table: table_series(figures, table, "modelled")[1] for table in TABLES}
     return {
-        table: errors(*(table_series(figures, table, column)[1] for column in ("modelled", "measured")))
-        for table in ("3", "4")
+        model: {table: errors(watts[table], measured[table][1]) for table in TABLES}
+        for model, watts in (("paper", made), ("mecanum4.yaml", {t: powers[name] for t, name in TABLES.items()}))
     }
-
-
-def robot_errors(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float, float]]:
-    """The same of the shipped robot file."""
-    times, _ = table_series(figures, "3", "measured")
-    powers = start_powers(times)
-    return {
-        table: errors(powers[name], table_series(figures, table, "measured")[1])
-        for table, name in (("3", "motion"), ("4", "robot"))
-    }
-
-
-def _accuracy(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    errors = paper_errors(figures)
-    yield "acc.abstract", Ours(100.0 - max(errors["3"][1], errors["4"][1]), "the paper's own columns")
-    yield "acc.motion", Ours(100.0 - errors["3"][1], "the paper's own columns")
-    yield "acc.motion.pointwise", Ours(100.0 - errors["3"][2], "the paper's own columns, worst sample")
-    yield "acc.robot", Ours(100.0 - errors["4"][1], "the paper's own columns")
-    yield "acc.robot.pointwise", Ours(100.0 - errors["4"][2], "the paper's own columns, worst sample")
 
 
 def direction_power(angles_rad: Array, friction_ratio: float | None = None) -> Array:
@@ -124,7 +115,8 @@ def _directions(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     angles = np.arange(0.0, figures["angle.range"].value + 0.5 * step, step)
     low = direction_power(np.radians(angles))
     threshold = threshold_ratio()
-    ratio = _ratio()
+    parameters = build_power_model(shipped_robot("mecanum4")).parameters
+    ratio = parameters["robot/roller_friction"].value / parameters["robot/wheel_friction"].value
     high = direction_power(np.radians(angles), 2.0 * threshold)
     half = angles <= 90.0
     least, least_high = (float(angles[half][int(np.argmin(power[half]))]) for power in (low, high))
@@ -144,28 +136,17 @@ def _directions(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     yield "angle.within", Ours(float(quarter[-1]) if same else None)
 
 
-def _ratio() -> float:
-    parameters = build_power_model(shipped_robot("mecanum4")).parameters
-    return parameters["robot/roller_friction"].value / parameters["robot/wheel_friction"].value
-
-
-def _inputs() -> Iterator[tuple[str, Ours]]:
-    line = run(START).timeline
-    ramp = np.asarray(line.duration_s)[np.asarray(line.columns["accel_m_s2"]) > 0.0]
-    yield "time.max", Ours(float(np.sum(ramp)), "simulated start")
-    yield "wheels", Ours(float(len(mecanum.wheel_speeds(1.0))))
-
-
-def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str]]:
+def identifiability() -> list[dict[str, object]]:
     """Fits with different speed profiles of the start: what the data say about each parameter. Gives one row a fit,
     first the robot file's; the mass runs from one end of its range to the other at equal error."""
-    rows: list[dict[str, float | str]] = []
+    rows: list[dict[str, object]] = []
+    figures = load_figures(PAPER)
     top = figures["time.max"].value
     for profile, duration in (("linear", top), ("minimum_jerk", top), ("minimum_jerk", top + 0.02)):
         fit = mecanum_fit(figures, profile=profile, duration_s=duration)
         names = ("rmse_table{}_w", "mape_table{}_pct", "max_table{}_pct")
         scores = zip(names, zip(*fit.errors.values(), strict=True), strict=True)
-        row: dict[str, float | str] = {"profile": profile, "duration_s": duration, "wheel_friction_n": fit.friction_n}
+        row: dict[str, object] = {"profile": profile, "duration_s": duration, "wheel_friction_n": fit.friction_n}
         row |= {key: getattr(fit, key) for key in ("mass_kg", "copper_w_n2", "electronics_w", "pulse_w")}
         row |= {name.format(table): v for name, both in scores for table, v in zip("34", both, strict=True)}
         rows.append({**row, "condition": fit.condition})

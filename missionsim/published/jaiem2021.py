@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from missionsim.physics import motion
 from missionsim.published import patrol
 from missionsim.published.figures import Figure, Ours, load_figures, load_table, mission, run, shipped_robot
 
-PAPER = "jaiem2021"
+PAPER, ROWS = "jaiem2021", "jaiem2021_table4_rows"
 SCHEMES = {
     "FM": "forward_motion",
     "SPF-OA": "path_following",
@@ -30,20 +29,45 @@ CORRIDOR = {
     "qr1": "corridor_qr_code_4_markers",
     "qr2": "corridor_qr_code_8_markers",
 }
-Row = dict[str, str]
 
 
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
-    figures = load_figures(PAPER)
-    robot = shipped_robot("pioneer3dx")
+    figures, robot, configurations = load_figures(PAPER), shipped_robot("pioneer3dx"), load_table(ROWS)
     model = build_power_model(robot)
-    rows = [table4_row(model, row) for row in load_table("jaiem2021_table4_rows")]
-    parts = (_inputs(robot), _equations(model), _table1(robot), _table4(rows), _ranges(rows), _table5(figures))
-    return dict(chain(*parts, patrol.figures()))
+    found: dict[str, Ours] = {}
+    relays = len(robot.switchboards["switchboard1"].power) - 1
+    found["switch_channels"] = Ours(float(relays), "relays of switchboard 1")
+    laser = robot.components["laser"]
+    found["sec311.two_lasers"] = Ours(laser.units * float(laser.loads[0].power or 0.0))
+    speeds = {row["scheme"]: float(row["speed_m_s"]) for row in configurations}
+    found["speed.rvt"] = Ours(speeds["rotational_visual_tracking"])
+    found["speed.others"] = Ours(speeds["forward_motion"])
+    usb_volts = 5.0  # USB bus voltage, Universal Serial Bus specification
+    for port in ("usb2", "usb3"):
+        found[f"{port}.power"] = Ours(figures[f"{port}.current"].value * usb_volts)
+    still: dict[str, Any] = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}
+    rest = model.total(still, "robot")
+    found["sec312.at_rest"] = Ours(float(rest))
+    found["sonar.power"] = Ours(float(model.total({**still, "on_sonar": 1.0}, "robot") - rest))
+    best = float(motion.optimal_speed(*(model.parameters[f"robot/{name}"].value for name in ("c2", "c4"))))
+    found["eq10.vopt"] = Ours(best)
+    found["zone2"] = Ours(float(robot.body.max_speed) - best)
+    for key in figures:
+        if key.startswith("table1."):
+            _, scheme, navigation, what = key.split(".")
+            required, _ = robot.schemes[SCHEMES[scheme]].sensor_rules(NAVIGATION[navigation])
+            found[key] = Ours(float(required.get("laser" if what == "lasers" else "kinect", 0)))
+    rows = [table4_row(model, row) for row in configurations]
+    for row in rows:
+        for name in row.keys() - {"row", "speed"}:
+            found[f"table4.r{int(row['row']):02d}.{name}"] = Ours(row[name])
+    found["sec322.row2_speed"] = Ours(rows[2]["speed"], "velocity of path following in every other row")
+    found |= _ranges([row["scheme"] for row in configurations], rows)
+    return found | dict(_table5(figures)) | dict(patrol.figures())
 
 
-def table4_row(model: PowerModel, row: Row) -> dict[str, float]:
+def table4_row(model: PowerModel, row: dict[str, str]) -> dict[str, float]:
     """One row of Table 4: battery powers and their parts (W), shares (%)."""
     cov: dict[str, Any] = {
         "speed_m_s": float(row["speed_m_s"]),
@@ -80,93 +104,46 @@ def table4_row(model: PowerModel, row: Row) -> dict[str, float]:
     }
 
 
-def _table4(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
-    for row in rows:
-        for name in row.keys() - {"row", "speed"}:
-            yield f"table4.r{int(row['row']):02d}.{name}", Ours(row[name])
-    yield "sec322.row2_speed", Ours(rows[2]["speed"], "velocity of path following in every other row")
-
-
-def _inputs(robot: Any) -> Iterator[tuple[str, Ours]]:
-    laser, boards = robot.components["laser"], robot.switchboards
-    yield "switch_channels", Ours(float(len(boards["switchboard1"].power) - 1), "relays of switchboard 1")
-    yield "sec311.two_lasers", Ours(laser.units * float(laser.loads[0].power))
-    speeds = {row["scheme"]: float(row["speed_m_s"]) for row in load_table("jaiem2021_table4_rows")}
-    yield "speed.rvt", Ours(speeds["rotational_visual_tracking"])
-    yield "speed.others", Ours(speeds["forward_motion"])
-    usb_volts = 5.0  # USB bus voltage, Universal Serial Bus specification
-    figures = load_figures(PAPER)
-    for port in ("usb2", "usb3"):
-        yield f"{port}.power", Ours(figures[f"{port}.current"].value * usb_volts)
-
-
-def _equations(model: PowerModel) -> Iterator[tuple[str, Ours]]:
-    rest = model.total({"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}, "robot")
-    yield "sec312.at_rest", Ours(float(rest))
-    values = {name: p.value for name, p in model.parameters.items()}
-    best = float(motion.optimal_speed(values["robot/c2"], values["robot/c4"]))
-    top = float(shipped_robot("pioneer3dx").body.max_speed)
-    yield "eq10.vopt", Ours(best)
-    yield "zone2", Ours(top - best)
-    still = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}
-    sonar = model.total({**still, "on_sonar": 1.0}, "robot") - rest
-    yield "sonar.power", Ours(float(sonar))
-
-
-def _table1(robot: Any) -> Iterator[tuple[str, Ours]]:
-    for key in load_figures(PAPER):
-        if key.startswith("table1."):
-            _, scheme, navigation, what = key.split(".")
-            required, _ = robot.schemes[SCHEMES[scheme]].sensor_rules(NAVIGATION[navigation])
-            yield key, Ours(float(required.get("laser" if what == "lasers" else "kinect", 0)))
-
-
-def _ranges(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
-    named = list(zip(load_table("jaiem2021_table4_rows"), rows, strict=True))
-    fm = [row for config, row in named if config["scheme"] == "forward_motion"]
-    moving = [row for config, row in named if float(config["speed_m_s"]) > 0.0]
-
-    def least(of: list[dict[str, float]], name: str) -> float:
-        return min(row[name] for row in of)
-
-    def most(of: list[dict[str, float]], name: str) -> float:
-        return max(row[name] for row in of)
-
-    def span(of: list[dict[str, float]], name: str) -> float:
-        return 100.0 * (most(of, name) / least(of, name) - 1.0)
-
+def _ranges(schemes: list[str], rows: list[dict[str, float]]) -> dict[str, Ours]:
+    """Section 3.4: ranges over rows of Table 4."""
+    named = list(zip(schemes, rows, strict=True))
+    fm = [row for scheme, row in named if scheme == "forward_motion"]
+    moving = [row for row in rows if row["speed"] > 0.0]
+    others = [row for scheme, row in named if scheme not in ("image_analysis", "rotational_visual_tracking")]
+    shares = {scheme: row["pct_P_L"] for scheme, row in named}
     largest = max(fm, key=lambda row: row["delta_P"])
-    others = [row for config, row in named if config["scheme"] not in ("image_analysis", "rotational_visual_tracking")]
-    shares = {config["scheme"]: row["pct_P_L"] for config, row in named}
+
+    def span(values: list[float]) -> float:
+        return 100.0 * (max(values) / min(values) - 1.0)
+
     values = {
-        "fm.min": least(fm, "P_R"),
-        "fm.max": most(fm, "P_R"),
-        "fm.count": float(len(fm)),
-        "fm.range": span(fm, "P_R"),
-        "all.min": least(moving, "P_R"),
-        "all.max": most(rows, "P_R"),
-        "proc.fm.min": least(fm, "P_L_proc"),
-        "proc.fm.max": most(fm, "P_L_proc"),
-        "proc.fm.range": span(fm, "P_L_proc"),
-        "proc.all.min": least(rows, "P_L_proc"),
-        "proc.all.max": most(rows, "P_L_proc"),
-        "total.fm.min": least(fm, "P_total"),
-        "total.fm.max": most(fm, "P_total"),
-        "share.max_difference": largest["delta_P"],
-        "share.pr": largest["pct_P_R"],
-        "share.pl": largest["pct_P_L"],
-        "share.all": most(others, "delta_P"),
-        "laptop.rvt": shares["rotational_visual_tracking"],
-        "laptop.ia": shares["image_analysis"],
+        name: of([row[column] for row in chosen])
+        for name, of, column, chosen in (
+            ("fm.min", min, "P_R", fm),
+            ("fm.max", max, "P_R", fm),
+            ("fm.count", len, "P_R", fm),
+            ("fm.range", span, "P_R", fm),
+            ("all.min", min, "P_R", moving),
+            ("all.max", max, "P_R", rows),
+            ("proc.fm.min", min, "P_L_proc", fm),
+            ("proc.fm.max", max, "P_L_proc", fm),
+            ("proc.fm.range", span, "P_L_proc", fm),
+            ("proc.all.min", min, "P_L_proc", rows),
+            ("proc.all.max", max, "P_L_proc", rows),
+            ("total.fm.min", min, "P_total", fm),
+            ("total.fm.max", max, "P_total", fm),
+            ("share.all", max, "delta_P", others),
+        )
     }
-    for name, value in values.items():
-        yield f"sec34.{name}", Ours(value)
+    columns = {"max_difference": "delta_P", "pr": "pct_P_R", "pl": "pct_P_L"}
+    values |= {f"share.{name}": largest[column] for name, column in columns.items()}
+    values |= {"laptop.rvt": shares["rotational_visual_tracking"], "laptop.ia": shares["image_analysis"]}
+    return {f"sec34.{name}": Ours(float(value)) for name, value in values.items()}
 
 
-def corridor_energy(experiment: str, velocity: str) -> float:
-    """Energy (Wh) of the robot battery in a corridor run of Table 5, simulated."""
-    name = f"pioneer3dx/{CORRIDOR[experiment]}_{round(float(velocity) * 100)}cm_s"
-    return run(name).batteries["robot"].energy_wh
+def corridor(experiment: str, velocity: str) -> str:
+    """The shipped mission of a run of Table 5."""
+    return f"pioneer3dx/{CORRIDOR[experiment]}_{round(float(velocity) * 100)}cm_s"
 
 
 def runs_of_table5(figures: Mapping[str, Figure]) -> dict[tuple[str, str], tuple[float, float]]:
@@ -180,17 +157,16 @@ def runs_of_table5(figures: Mapping[str, Figure]) -> dict[tuple[str, str], tuple
             if figure.basis == "contradiction":
                 source = figures[key.replace(".experiment", ".predicted")]
             measured = source.value + source.last_digit / 2.0
-            result[experiment, velocity] = (corridor_energy(experiment, velocity), measured)
+            simulated = run(corridor(experiment, velocity)).batteries["robot"].energy_wh
+            result[experiment, velocity] = (simulated, measured)
     return result
 
 
 def stretch_left_out(runs: Mapping[tuple[str, str], tuple[float, float]]) -> dict[tuple[str, str], float]:
     """Path stretch of each run from the other runs of its scheme (it does not see the run itself)."""
-    result = {}
-    for experiment, velocity in runs:
-        others = [m / p for (e, v), (p, m) in runs.items() if e == experiment and v != velocity]
-        result[experiment, velocity] = float(np.mean(others))
-    return result
+    return {
+        (of, at): float(np.mean([m / p for (e, v), (p, m) in runs.items() if e == of and v != at])) for of, at in runs
+    }
 
 
 def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
@@ -212,10 +188,9 @@ def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
         note = "from the printed experiment and our prediction" + " cut to two digits" * cut
         yield f"{key}.error", Ours(error, note)
     for velocity in dict.fromkeys(velocity for _, velocity in runs):
-        driven: Any = mission(f"pioneer3dx/{CORRIDOR['fm']}_{round(float(velocity) * 100)}cm_s").defaults.speed
-        yield f"table5.velocity.{velocity}", Ours(float(driven))
-    corridor: Any = mission("pioneer3dx/" + CORRIDOR["fm"] + "_10cm_s").segments[0]
-    length = float(corridor.distance)
+        yield f"table5.velocity.{velocity}", Ours(float(mission(corridor("fm", velocity)).defaults.speed or 0.0))
+    driven: Any = mission(corridor("fm", "0.1")).segments[0]
+    length = float(driven.distance)
     yield "sec341.d2", Ours(length)
     yield "sec341.fm_limit", Ours(max(errors["fm"]))
     yield "sec341.cm_limit", Ours(min(errors["cm"]))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from itertools import chain
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +20,57 @@ SENSING = "korebot: 1, infrared: 11, ultrasonic: 5"
 
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
-    figures = load_figures(PAPER)
-    robot = shipped_robot("khepera3")
-    return dict(chain(_inputs(robot, figures), _tasks(), _savings(figures), _margin(figures)))
+    figures, robot = load_figures(PAPER), shipped_robot("khepera3")
+    f = {name: figure.value for name, figure in figures.items()}
+    found: dict[str, Ours] = {}
+    found["capacity"] = Ours((robot.batteries["robot"].capacity_c or 0.0) / 3.6, "charge of the robot file")
+    note = "found by the sequence of operations on the simulated robot"
+    found["comp"] = Ours(identified_components()["korebot"], note)
+    found["sampling.rate"] = Ours(f["sampling.rate"], "rate of the simulated records")
+    found["sampling.step"] = Ours(1000.0 / f["sampling.rate"])
+    laps: Any = mission("khepera3/task_b").segments
+    slowest, top = min(1000.0 * float(lap.speed) for lap in laps), float(robot.body.max_speed)
+    for suffix in ("", ".va"):
+        found[f"speed.max{suffix}"] = Ours(1000.0 * top)
+        found[f"speed.min{suffix}"] = Ours(slowest, "slowest lap of task B")
+    named, wifi_w = f["table1.khepera.power"], static_power("wifi")
+    found["table1.khepera.power"] = Ours(motion_power(top))
+    found["table1.khepera.share"] = Ours(100.0 * named / (named + wifi_w), f"static power with WiFi {wifi_w:.3f} W")
+
+    task, speed = run(TASK_A["wifi"]), float(mission(TASK_A["wifi"]).defaults.speed or 0.0)
+    found["taskA.tn"] = Ours(task.duration_s)
+    found["taskA.tp"] = Ours(task.distance_m / speed)
+    found["taskA.speed"] = Ours(1000.0 * speed)
+
+    slow, fast = f["speed.min"] / 1000.0, f["speed.max"] / 1000.0
+    slow_wh = crossing_energy(slow, "wifi")
+    found["saving.speed"] = Ours(float(khepera.saving(slow_wh, crossing_energy(fast, "wifi"))))
+    wifi, bluetooth = (run(TASK_A[name]).batteries["robot"].energy_wh for name in ("wifi", "bluetooth"))
+    note = f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J"
+    found["saving.bluetooth"] = Ours(float(khepera.saving(wifi, bluetooth)), note)
+    found["saving.no_radio"] = Ours(float(khepera.saving(slow_wh, crossing_energy(fast, None))))
+    static = named * (100.0 / f["table1.khepera.share"] - 1.0)
+
+    def moving_only(speed: float, static_w: float) -> float:
+        return float(khepera.energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
+
+    slow_j = moving_only(slow, static)
+    note = f"static power {static:.3f} W, no standing time"
+    found["saving.speed.table1"] = Ours(float(khepera.saving(slow_j, moving_only(fast, static))), note)
+    # the 33 % give the difference of the radios; Bluetooth's own power is at least nought
+    total_j = static * task.duration_s + motion_power(f["taskA.speed"] / 1000.0) * f["taskA.tp"]
+    difference = f["saving.bluetooth"] / 100.0 * total_j / task.duration_s
+    without = moving_only(fast, static - difference)
+    note = f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W"
+    found["saving.no_radio.from33"] = Ours(float(khepera.saving(slow_j, without)), note)
+
+    worst = max(abs(f["error.min"]), abs(f["error.max"]))
+    found["margin.prediction"] = Ours(float(np.ceil(worst)))
+    parts = [f[f"margin.{name}"] for name in ("prediction", "transducer", "std")]
+    note = f"root of the squares' sum {float(np.sqrt(np.sum(np.square(parts)))):.1f} %"
+    found["margin.total"] = Ours(sum(parts), note)
+    found["accuracy"] = Ours(100.0 - worst)
+    return found
 
 
 def motion_power(speed_m_s: float, payload_kg: float = 0.0) -> float:
@@ -77,69 +123,7 @@ def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, floa
     return dict(zip([*names, always], (float(v) for v in found), strict=True))
 
 
-def _inputs(robot: Any, figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    yield "capacity", Ours(float(robot.batteries["robot"].capacity_c) / 3.6, "charge of the robot file")
-    yield "comp", Ours(identified_components()["korebot"], "found by the sequence of operations on the simulated robot")
-    rate = figures["sampling.rate"].value
-    yield "sampling.rate", Ours(rate, "rate of the simulated records")
-    yield "sampling.step", Ours(1000.0 / rate)
-    for key in ("speed.max", "speed.max.va"):
-        yield key, Ours(1000.0 * float(robot.body.max_speed))
-    laps: Any = mission("khepera3/task_b").segments
-    speeds = [1000.0 * float(lap.speed) for lap in laps]
-    for key in ("speed.min", "speed.min.va"):
-        yield key, Ours(min(speeds), "slowest lap of task B")
-    yield "table1.khepera.power", Ours(motion_power(float(robot.body.max_speed)))
-    named = figures["table1.khepera.power"].value
-    wifi = static_power("wifi")
-    yield "table1.khepera.share", Ours(100.0 * named / (named + wifi), f"static power with WiFi {wifi:.3f} W")
-
-
-def _tasks() -> Iterator[tuple[str, Ours]]:
-    result = run(TASK_A["wifi"])
-    spec = mission(TASK_A["wifi"])
-    speed = float(spec.defaults.speed or 0.0)
-    yield "taskA.tn", Ours(result.duration_s)
-    yield "taskA.tp", Ours(result.distance_m / speed)
-    yield "taskA.speed", Ours(1000.0 * speed)
-
-
-def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    slow, fast = (figures[f"speed.{name}"].value / 1000.0 for name in ("min", "max"))
-    slow_wh = crossing_energy(slow, "wifi")
-    yield "saving.speed", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, "wifi"))))
-    wifi, bluetooth = (run(TASK_A[name]).batteries["robot"].energy_wh for name in ("wifi", "bluetooth"))
-    note = f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J"
-    yield "saving.bluetooth", Ours(float(khepera.saving(wifi, bluetooth)), note)
-    yield "saving.no_radio", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, None))))
-    static = figures["table1.khepera.power"].value * (100.0 / figures["table1.khepera.share"].value - 1.0)
-
-    def moving_only(speed: float, static_w: float) -> float:
-        return float(khepera.energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
-
-    slow_j = moving_only(slow, static)
-    note = f"static power {static:.3f} W, no standing time"
-    yield "saving.speed.table1", Ours(float(khepera.saving(slow_j, moving_only(fast, static))), note)
-    # the 33 % give the difference of the radios; Bluetooth's own power is at least nought
-    task = run(TASK_A["wifi"])
-    moving_s = figures["taskA.tp"].value
-    total_j = static * task.duration_s + motion_power(figures["taskA.speed"].value / 1000.0) * moving_s
-    difference = figures["saving.bluetooth"].value / 100.0 * total_j / task.duration_s
-    without = moving_only(fast, static - difference)
-    note = f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W"
-    yield "saving.no_radio.from33", Ours(float(khepera.saving(slow_j, without)), note)
-
-
-def _margin(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    worst = max(abs(figures["error.min"].value), abs(figures["error.max"].value))
-    yield "margin.prediction", Ours(float(np.ceil(worst)))
-    parts = [figures[f"margin.{name}"].value for name in ("prediction", "transducer", "std")]
-    yield "margin.total", Ours(sum(parts), f"root of the squares' sum {float(np.sqrt(np.sum(np.square(parts)))):.1f} %")
-    yield "accuracy", Ours(100.0 - worst)
-
-
-@dataclass(frozen=True)
-class StaticPowers:
+class StaticPowers(NamedTuple):
     """Khepera III: powers that the paper shows only in figures, and the standing time that its savings need."""
 
     without_radio_w: float

@@ -41,13 +41,10 @@ class ErrorCurve:
         }
 
 
-def error_curve(battery: str, plan: str = PLAN, driven: str = DRIVEN) -> ErrorCurve:
+def error_curve(battery: str) -> ErrorCurve:
     """The curve of one battery from two simulations. Both runs have the same segments and hold their speed within one,
     so equal progress is an equal share of a segment."""
-    durations, energies = zip(
-        *((_durations(name), run(name).by_segment_wh(battery)) for name in (plan, driven)), strict=True
-    )
-    return curve(durations[1], energies[0], energies[1])
+    return curve(_durations(DRIVEN), *(run(name).by_segment_wh(battery) for name in (PLAN, DRIVEN)))
 
 
 def curve(driven_s: Array, plan_wh: Array, driven_wh: Array) -> ErrorCurve:
@@ -66,19 +63,21 @@ def _durations(name: str) -> Array:
     return np.diff(ends, prepend=0.0)
 
 
+def _ways_m(name: str) -> Array:
+    """Way of each segment by its speed at the beginning of intervals."""
+    line = run(name).timeline
+    way = np.asarray(line.columns["speed_m_s"]) * line.duration_s
+    return f64(np.bincount(line.segment, way, len(run(name).segments)))
+
+
 def velocity_gaps() -> dict[str, float]:
     """Velocity gap of each segment that moves, %: 1 − mean speed as driven / planned, from the simulated runs."""
-    gaps = {}
-    speeds = []
-    for name in (PLAN, DRIVEN):
-        line = run(name).timeline
-        count = len(run(name).segments)
-        way = np.bincount(line.segment, np.asarray(line.columns["speed_m_s"]) * line.duration_s, count)
-        speeds.append(way / _durations(name))
-    for index, segment in enumerate(run(PLAN).segments):
-        if speeds[0][index] > 0.0:
-            gaps[segment.name] = float(100.0 * (1.0 - speeds[1][index] / speeds[0][index]))
-    return gaps
+    planned, driven = (_ways_m(name) / _durations(name) for name in (PLAN, DRIVEN))
+    return {
+        segment.name: float(100.0 * (1.0 - driven[index] / planned[index]))
+        for index, segment in enumerate(run(PLAN).segments)
+        if planned[index] > 0.0
+    }
 
 
 def figures() -> Iterator[tuple[str, Ours]]:
@@ -105,76 +104,55 @@ def figures() -> Iterator[tuple[str, Ours]]:
                 yield f"sec342.{battery}.{name}{suffix}", Ours(value)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Causes:
-    """What makes a robot's path longer and slower than planned, with spread (assumed unless said)."""
-
-    marker_spacing_m: float | None = None
-    """Between QR codes; if not given that of Table 5's second experiment."""
-    drift: float = 0.15
-    drift_sd: float = 0.03
-    """Both: sideways drift per metre."""
-    settle_m: float = 1.0
-    settle_sd_m: float = 0.2
-    """Both: length on which an offset or a heading settles."""
-    wall_amplitude_m: float = 0.12
-    wall_amplitude_sd_m: float = 0.04
-    wall_wavelength_m: float = 3.0
-    """All three: irregular walls that centring follows."""
-    heading_error_rad: float = 0.5
-    """After a turn."""
-    turns: tuple[tuple[str, int], ...] = (("ER_out", 4), ("V1_area", 5), ("V2_area", 2), ("ER_in", 4))
-    """By segment of the patrol."""
-    gap_sd: float = 0.02
-    """Spread of the speed reached over the speed asked."""
+# what makes a robot's path longer and slower than planned, each with its spread (assumed)
+DRIFT, DRIFT_SD = 0.15, 0.03
+"""Sideways, per metre."""
+SETTLE_M, SETTLE_SD_M = 1.0, 0.2
+"""Length on which an offset or a heading settles."""
+AMPLITUDE_M, AMPLITUDE_SD_M, WAVELENGTH_M = 0.12, 0.04, 3.0
+"""Irregular walls that centring follows."""
+HEADING_ERROR_RAD = 0.5
+"""After a turn."""
+TURNS = {"ER_out": 4, "V1_area": 5, "V2_area": 2, "ER_in": 4}
+"""By segment of the patrol."""
+GAP_SD = 0.02
+"""Spread of the speed reached over the speed asked."""
 
 
-def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def behaviour_draws(draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Path stretch and speed ratio of each segment of the patrol, drawn from their causes. Gives an array of shape
     (draws, segments): stretch (≥ 1) and speed over speed asked; 1 in the stops."""
-    spec = mission(DRIVEN)
+    spec, names = mission(DRIVEN), [segment.name for segment in run(DRIVEN).segments]
     stretch = np.ones((draws, len(spec.segments)))
     ratio = np.ones_like(stretch)
-    drift = np.abs(rng.normal(causes.drift, causes.drift_sd, draws))
-    settle = np.clip(rng.normal(causes.settle_m, causes.settle_sd_m, draws), 0.2, None)
-    amplitude = np.abs(rng.normal(causes.wall_amplitude_m, causes.wall_amplitude_sd_m, draws))
-    lengths = _lengths()
-    turns = dict(causes.turns)
-    spacing = causes.marker_spacing_m
-    if spacing is None:
-        printed = load_figures("jaiem2021")
-        spacing = printed["sec341.d2"].value / printed["sec341.qr_markers2"].value
+    drift = np.abs(rng.normal(DRIFT, DRIFT_SD, draws))
+    settle = np.clip(rng.normal(SETTLE_M, SETTLE_SD_M, draws), 0.2, None)
+    amplitude = np.abs(rng.normal(AMPLITUDE_M, AMPLITUDE_SD_M, draws))
+    lengths = _ways_m(PLAN)
+    printed = load_figures("jaiem2021")
+    spacing = printed["sec341.d2"].value / printed["sec341.qr_markers2"].value
     for index, segment in enumerate(spec.segments):
-        name = run(DRIVEN).segments[index].name
         if segment.kind != "drive":
             continue
         if spec.navigation_of(segment) == "qr_code":
-            extra = motion.relocalisation_stretch(spacing, drift=drift, settle_m=settle)
-            stretch[:, index] *= extra
+            stretch[:, index] *= motion.relocalisation_stretch(spacing, drift=drift, settle_m=settle)
         if spec.scheme_of(segment) == "centring_motion":
-            stretch[:, index] *= motion.centring_stretch(amplitude, causes.wall_wavelength_m)
-        if name in turns:
+            stretch[:, index] *= motion.centring_stretch(amplitude, WAVELENGTH_M)
+        if turns := TURNS.get(names[index]):
             stretch[:, index] *= motion.settling_stretch(
-                turns[name], lengths[index], heading_error_rad=causes.heading_error_rad, settle_m=settle
+                turns, lengths[index], heading_error_rad=HEADING_ERROR_RAD, settle_m=settle
             )
         asked = float((segment.behaviour and segment.behaviour.speed_tracking) or 1.0)
-        ratio[:, index] = np.clip(rng.normal(asked, causes.gap_sd, draws), 0.3, 1.0)
+        ratio[:, index] = np.clip(rng.normal(asked, GAP_SD, draws), 0.3, 1.0)
     return stretch, ratio
 
 
-def _lengths() -> Array:
-    line = run(PLAN).timeline
-    way = np.asarray(line.columns["speed_m_s"]) * line.duration_s
-    return f64(np.bincount(line.segment, way, len(run(PLAN).segments)))
-
-
-def uncertain_statistics(causes: Causes, draws: int, seed: int) -> dict[str, dict[str, Array]]:
+def uncertain_statistics(draws: int, seed: int) -> dict[str, dict[str, Array]]:
     """The four error statistics of each battery for drawn behaviours, shape (draws,) each. Every draw is the patrol of
     the plan with other stretches and speeds; powers come from the robot's power model."""
     from missionsim.inputs.power import build_power_model
 
-    rng = np.random.default_rng(seed)
-    stretch, ratio = behaviour_draws(causes, draws, rng)
+    stretch, ratio = behaviour_draws(draws, np.random.default_rng(seed))
     plan = run(PLAN)
     model = build_power_model(mission(PLAN).robot)
     first = np.array([int(np.flatnonzero(plan.timeline.segment == i)[0]) for i in range(len(plan.segments))])

@@ -31,7 +31,8 @@ from missionsim.published.figures import (
 )
 
 SCHEMA = "missionsim.reproduction/1"
-Tables = dict[str, list[dict[str, Any]]]
+Rows = list[dict[str, Any]]
+Tables = dict[str, Rows]
 """Name → rows."""
 COLUMNS = ("item", "where", "published", "ours", "unit", "difference", "tolerance", "rule", "status", "note", "key")
 
@@ -70,29 +71,12 @@ def number(value: float | None) -> str:
     return "0" if float(text) == 0.0 or abs(value) < 1e-12 else text
 
 
-def items_csv(items: Iterable[Item]) -> str:
-    """The reproduction table as CSV text."""
-    rows = []
-    for item in items:
-        row = item.to_json()
-        row["published"] = row["printed"]
-        close = item.difference is not None and abs(item.difference) < 1e-9 * max(1.0, abs(item.figure.value))
-        row["difference"] = 0.0 if close else item.difference
-        rows.append([_cell(row[name]) for name in COLUMNS])
-    return _csv(COLUMNS, rows)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float) or value is None:
-        return number(value)
-    return str(value)
-
-
-def _csv(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _csv(rows: Rows) -> str:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({k: number(v) if isinstance(v, float) or v is None else v for k, v in row.items()})
     return text.getvalue()
 
 
@@ -115,22 +99,24 @@ def files(items: dict[str, list[Item]], tables: dict[str, Tables]) -> dict[str, 
     """Every text file of ``results/published``, by name: CSV tables and the Markdown page."""
     result: dict[str, str] = {}
     for paper, found in items.items():
-        result[f"{paper}.csv"] = items_csv(found)
-        for name, rows in tables[paper].items():
-            result[f"{paper}_{name}.csv"] = _csv(list(rows[0]), [[_cell(v) for v in row.values()] for row in rows])
+        items_rows = []
+        for item in found:
+            row = {**item.to_json(), "published": item.figure.printed}
+            close = item.difference is not None and abs(item.difference) < 1e-9 * max(1.0, abs(item.figure.value))
+            row["difference"] = 0.0 if close else item.difference
+            items_rows.append({name: row[name] for name in COLUMNS})
+        result[f"{paper}.csv"] = _csv(items_rows)
+        result |= {f"{paper}_{name}.csv": _csv(rows) for name, rows in tables[paper].items()}
     result["README.md"] = page(items, tables)
     return result
 
 
 def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pictures: bool = True) -> list[Path]:
-    """Write tables, page and pictures into a folder; each file whole or not at all.
-
-    Gives what was written.
-    """
-    written = []
-    for name, text in files(items, tables).items():
+    """Write tables, page and pictures into a folder; each file whole or not at all. Gives what was written."""
+    texts = files(items, tables)
+    for name, text in texts.items():
         write_text(out / name, text)
-        written.append(out / name)
+    written = [out / name for name in texts]
     if pictures:
         from missionsim.published.pictures import draw
 
@@ -148,7 +134,8 @@ def page(items: dict[str, list[Item]], tables: dict[str, Tables]) -> str:
         parts += [f"![{title}]({paper}_{name}.png)\n*{title}*\n" for name, title in about.pictures.items()]
         for name, rows in tables[paper].items():
             parts.append(f"**{about.tables[name]}** ([CSV]({paper}_{name}.csv))\n")
-            parts.append(_table(list(rows[0]), [[_short(v) for v in row.values()] for row in rows[:26]]))
+            body = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows[:26]]
+            parts.append(_table(list(rows[0]), body))
             if len(rows) > 26:
                 parts.append(f"… and {len(rows) - 26} more rows in the CSV file.\n")
         references, notes = footnotes(found)
@@ -164,17 +151,12 @@ def page(items: dict[str, list[Item]], tables: dict[str, Tables]) -> str:
     return "\n".join(parts)
 
 
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
-Rows = list[dict[str, Any]]
 SEED, DRAWS = 20210426, 2000
 
 
@@ -243,7 +225,7 @@ def patrol_errors() -> Rows:
 
 def patrol_uncertainty() -> Rows:
     """The same statistics when the behaviour is drawn from its causes instead of calibrated."""
-    drawn = patrol.uncertain_statistics(patrol.Causes(), DRAWS, SEED)
+    drawn = patrol.uncertain_statistics(DRAWS, SEED)
     figures = load_figures("jaiem2021")
     rows: Rows = []
     for battery, statistics in drawn.items():
@@ -263,27 +245,18 @@ def components() -> Rows:
 def static_powers() -> Rows:
     """Khepera III: the one solution of the four percentages."""
     found = parasuraman2012.static_powers(load_figures("parasuraman2012"))
-    return [
-        {"quantity": "static power without radio", "value": found.without_radio_w, "unit": "W"},
-        {"quantity": "Bluetooth", "value": found.bluetooth_w, "unit": "W"},
-        {"quantity": "WiFi", "value": found.wifi_w, "unit": "W"},
-        {"quantity": "standing time per metre", "value": found.standing_s_m, "unit": "s/m"},
-    ]
+    names = ("static power without radio", "Bluetooth", "WiFi", "standing time per metre")
+    units = ("W", "W", "W", "s/m")
+    return [{"quantity": n, "value": v, "unit": u} for n, v, u in zip(names, found, units, strict=True)]
 
 
 def model_errors() -> Rows:
     """Mecanum robot: errors of the paper's own model and of the robot file over the moving samples."""
-    figures = load_figures("hou2019")
-    rows: Rows = []
-    for name, found in (("paper", hou2019.paper_errors(figures)), ("mecanum4.yaml", hou2019.robot_errors(figures))):
-        for table, (rmse, mape, most) in found.items():
-            rows.append({"model": name, "table": table, "rmse_w": rmse, "mape_pct": mape, "max_pct": most})
-    return rows
-
-
-def identifiability() -> Rows:
-    """Mecanum robot: the same data under different starts give masses far apart."""
-    return list(hou2019.identifiability(load_figures("hou2019")))
+    return [
+        {"model": name, "table": table, "rmse_w": rmse, "mape_pct": mape, "max_pct": most}
+        for name, found in hou2019.model_errors(load_figures("hou2019")).items()
+        for table, (rmse, mape, most) in found.items()
+    ]
 
 
 def directions() -> Rows:
@@ -315,6 +288,6 @@ def fidelity() -> Rows:
 
 
 _MADE: list[Callable[[], Rows]] = [optimal_velocities, stretch_test, stretch_summary, patrol_errors, patrol_uncertainty]
-_MADE += [static_powers, components, model_errors, identifiability, directions, rover2025.optima, fidelity]
+_MADE += [static_powers, components, model_errors, hou2019.identifiability, directions, rover2025.optima, fidelity]
 TABLES: dict[str, Callable[[], Rows]] = {function.__name__: function for function in _MADE}
 """Name of a table → the function that makes it."""

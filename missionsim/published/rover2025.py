@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from itertools import chain
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -20,8 +19,42 @@ COMPLEXITIES = ("field", "orchard", "slalom")
 
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
-    figures = load_figures(PAPER)
-    return dict(chain(_inputs(figures), _optima(figures)))
+    figures, robot, tracks = load_figures(PAPER), predictor(), complexity_of_tracks()
+    top, clocks = float(robot.spec.body.max_speed), robot.clocks()
+    found: dict[str, Ours] = {}
+    cpu = robot._cpu()
+    found["batches"] = Ours(cpu["batch_rate"])
+    found["freq.max"] = Ours(cpu["high_freq"] / 1e9)
+    nearest = int(np.argmin(np.abs(clocks / 1e9 - figures["freq.min"].value)))
+    found["freq.min"] = Ours(float(clocks[nearest] / 1e9))
+    found["environments"] = Ours(float(len(tracks)))
+    found["fig6.speed.min"] = Ours(figures["fig6.speed.min"].value)
+    grid = speeds(2.0 * top)
+    best = robot.best(grid, clocks, tracks["slalom"])
+    printed = figures["joint.speed"].value
+    needed = drive_constant(printed)
+    note = f"optimum {best.energy_j_m:.2f} J/m; the printed speed would need {needed:.1f} W of constant power"
+    found["joint.speed"] = Ours(best.speed_m_s, note)
+    found["joint.freq"] = Ours(best.freq_hz / 1e9, note)
+    kmh = predictor(kmh_values(figures)).best(speeds(16.0) * KMH, clocks, tracks["slalom"])
+    note = (
+        f"{kmh.energy_j_m:.2f} J/m; drive constant {drive_constant(figures['mech.speed'].value * KMH):.2f} W; "
+        "a hypothesis that the text does not support"
+    )
+    found["joint.speed.kmh"] = Ours(kmh.speed_m_s / KMH, note)
+    found["joint.freq.kmh"] = Ours(kmh.freq_hz / 1e9, note)
+    found["qos.speed"] = Ours(service_limit(robot, float(clocks[-1]), tracks["slalom"], 2.0 * top))
+    found["saturation"] = Ours(float(robot.throughput(printed, clocks[-1], tracks["slalom"])))
+    low = robot.best(grid, clocks, tracks["field"])
+    found["qos.low"] = Ours(float(robot.throughput(2.0 * low.speed_m_s, clocks[-1], tracks["field"])))
+    fine = speeds(top, 0.01)
+    found["mech.speed"] = Ours(motion.speed_of_least_energy(0.0, fine, mechanical_power(fine)))
+    alone = motion.speed_of_least_energy(0.0, fine, mechanical_power(fine, with_constant=False))
+    found["mech.alone"] = Ours(alone, "the lowest speed of the grid: no optimum")
+    part = float(mechanical_power(np.array([printed]))[0])
+    whole = float(robot.power(printed, clocks[-1], tracks["slalom"]))
+    found["comp_share"] = Ours(part / whole, f"{part:.1f} W of {whole:.1f} W")
+    return found
 
 
 def predictor(values: Mapping[str, float] | None = None) -> PowerPredictor:
@@ -72,7 +105,8 @@ def processing_work(
 def kmh_values(figures: Mapping[str, Figure]) -> dict[str, float]:
     """Parameters of the robot under the reading that the printed speeds are km/h."""
     cpu = predictor()._cpu()
-    rest, more = processing_work(figures, fixed_s=cpu["fixed_time"], share_at_rest=_share(cpu, figures), reading=KMH)
+    share = cpu["cycles"] / (cpu["cycles"] + cpu["cycles_per_speed"] * figures["qos.speed"].value)
+    rest, more = processing_work(figures, fixed_s=cpu["fixed_time"], share_at_rest=share, reading=KMH)
     return {
         "robot/drive_constant": drive_constant(figures["mech.speed"].value * KMH),
         "robot/cpu.cycles": rest,
@@ -80,57 +114,11 @@ def kmh_values(figures: Mapping[str, Figure]) -> dict[str, float]:
     }
 
 
-def _share(cpu: Mapping[str, float], figures: Mapping[str, Figure]) -> float:
-    return cpu["cycles"] / (cpu["cycles"] + cpu["cycles_per_speed"] * figures["qos.speed"].value)
-
-
 def service_limit(robot: PowerPredictor, freq_hz: float, complexity: float, top_m_s: float) -> float:
     """Greatest speed (m/s, in steps of a hundredth) at which every batch is processed in time."""
     grid = speeds(top_m_s, 0.01)
     good = grid[robot.meets_service(grid, freq_hz, complexity)]
     return float(good[-1]) if len(good) else 0.0
-
-
-def _inputs(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    cpu = predictor()._cpu()
-    yield "batches", Ours(cpu["batch_rate"])
-    yield "freq.max", Ours(cpu["high_freq"] / 1e9)
-    clocks = predictor().clocks() / 1e9
-    yield "freq.min", Ours(float(clocks[int(np.argmin(np.abs(clocks - figures["freq.min"].value)))]))
-    yield "environments", Ours(float(len(complexity_of_tracks())))
-    yield "fig6.speed.min", Ours(figures["fig6.speed.min"].value)
-
-
-def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    robot = predictor()
-    top = float(robot.spec.body.max_speed)
-    clocks = robot.clocks()
-    tracks = complexity_of_tracks()
-    grid = speeds(2.0 * top)
-    best = robot.best(grid, clocks, tracks["slalom"])
-    printed = figures["joint.speed"].value
-    needed = drive_constant(printed)
-    note = f"optimum {best.energy_j_m:.2f} J/m; the printed speed would need {needed:.1f} W of constant power"
-    yield "joint.speed", Ours(best.speed_m_s, note)
-    yield "joint.freq", Ours(best.freq_hz / 1e9, note)
-    found = predictor(kmh_values(figures)).best(speeds(16.0) * KMH, clocks, tracks["slalom"])
-    note = (
-        f"{found.energy_j_m:.2f} J/m; drive constant {drive_constant(figures['mech.speed'].value * KMH):.2f} W; "
-        "a hypothesis that the text does not support"
-    )
-    yield "joint.speed.kmh", Ours(found.speed_m_s / KMH, note)
-    yield "joint.freq.kmh", Ours(found.freq_hz / 1e9, note)
-    yield "qos.speed", Ours(service_limit(robot, float(clocks[-1]), tracks["slalom"], 2.0 * top))
-    yield "saturation", Ours(float(robot.throughput(printed, clocks[-1], tracks["slalom"])))
-    low = robot.best(grid, clocks, tracks["field"])
-    yield "qos.low", Ours(float(robot.throughput(2.0 * low.speed_m_s, clocks[-1], tracks["field"])))
-    fine = speeds(top, 0.01)
-    yield "mech.speed", Ours(motion.speed_of_least_energy(0.0, fine, mechanical_power(fine)))
-    alone = motion.speed_of_least_energy(0.0, fine, mechanical_power(fine, with_constant=False))
-    yield "mech.alone", Ours(alone, "the lowest speed of the grid: no optimum")
-    part = float(mechanical_power(np.array([printed]))[0])
-    whole = float(robot.power(printed, clocks[-1], tracks["slalom"]))
-    yield "comp_share", Ours(part / whole, f"{part:.1f} W of {whole:.1f} W")
 
 
 def optima() -> list[dict[str, object]]:

@@ -116,12 +116,12 @@ def test_error_curve_ends_with_the_energies_of_the_runs() -> None:
 
 
 def test_drawn_behaviour_covers_the_final_errors() -> None:
-    drawn = patrol.uncertain_statistics(patrol.Causes(), 300, 3)
+    drawn = patrol.uncertain_statistics(300, 3)
     figures = load_figures("jaiem2021")
     for battery in ("robot", "laptop"):
         low, high = np.quantile(drawn[battery]["final"], (0.05, 0.95))
         assert low < figures[f"sec342.{battery}.final"].value < high
-    again = patrol.uncertain_statistics(patrol.Causes(), 300, 3)
+    again = patrol.uncertain_statistics(300, 3)
     assert np.array_equal(again["robot"]["mean"], drawn["robot"]["mean"])
 
 
@@ -171,14 +171,14 @@ def test_mecanum_file_is_the_fit_and_beats_the_paper() -> None:
     ):
         assert parameters[f"robot/{name}"].value == pytest.approx(value, rel=1e-5)
     assert float(load_robot("mecanum4").body.mass or 0) == pytest.approx(fit.mass_kg, rel=1e-5)
-    paper, ours = hou2019.paper_errors(figures), hou2019.robot_errors(figures)
+    paper, ours = hou2019.model_errors(figures).values()
     for table in ("3", "4"):
         assert ours[table][0] < paper[table][0]
         assert ours[table][1] < paper[table][1]
 
 
 def test_mass_is_not_identified() -> None:
-    rows = hou2019.identifiability(load_figures("hou2019"))
+    rows = hou2019.identifiability()
     masses = [float(row["mass_kg"]) for row in rows]
     assert max(masses) > 3.0 * min(masses)
     assert float(rows[0]["rmse_table3_w"]) == pytest.approx(float(rows[1]["rmse_table3_w"]), rel=1e-4)
