@@ -24,7 +24,7 @@ from missionsim.effects.covariates import Covariates, Value, number
 from missionsim.effects.library import declarations, declared, specs_of
 from missionsim.effects.model import ModelParameter, Term, TermKey
 from missionsim.errors import InputError
-from missionsim.physics import electrical, khepera
+from missionsim.physics import electrical
 
 _PREFIX = "motion_"
 
@@ -152,7 +152,7 @@ def _given(cov: Covariates, name: str, default: Value) -> Value:
 
 def _sampled(cov: Covariates, p: Parameters) -> Value:
     rate = number(cov, "sensor_rate_hz", p["rate"])
-    return khepera.sensor_power(rate, per_rate_w_s=p["per_rate"], constant_w=p["constant"])
+    return electrical.sensor_power(rate, per_rate_w_s=p["per_rate"], constant_w=p["constant"])
 
 
 _POWERS: dict[str, Callable[[Covariates, Parameters], Value]] = {"multicore_cpu": cpu_power, "sampled_sensor": _sampled}

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import Array, khepera
+from missionsim.physics import Array, f64
 from missionsim.published.figures import Figure, Ours, Overrides, load_figures, mission, run, shipped_robot
 
 PAPER = "parasuraman2012"
@@ -44,25 +45,25 @@ def ours() -> dict[str, Ours]:
 
     slow, fast = f["speed.min"] / 1000.0, f["speed.max"] / 1000.0
     slow_wh = crossing_energy(slow, "wifi")
-    found["saving.speed"] = Ours(float(khepera.saving(slow_wh, crossing_energy(fast, "wifi"))))
+    found["saving.speed"] = Ours(float(saving(slow_wh, crossing_energy(fast, "wifi"))))
     wifi, bluetooth = (run(TASK_A[name]).batteries["robot"].energy_wh for name in ("wifi", "bluetooth"))
     note = f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J"
-    found["saving.bluetooth"] = Ours(float(khepera.saving(wifi, bluetooth)), note)
-    found["saving.no_radio"] = Ours(float(khepera.saving(slow_wh, crossing_energy(fast, None))))
+    found["saving.bluetooth"] = Ours(float(saving(wifi, bluetooth)), note)
+    found["saving.no_radio"] = Ours(float(saving(slow_wh, crossing_energy(fast, None))))
     static = named * (100.0 / f["table1.khepera.share"] - 1.0)
 
     def moving_only(speed: float, static_w: float) -> float:
-        return float(khepera.energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
+        return float(energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
 
     slow_j = moving_only(slow, static)
     note = f"static power {static:.3f} W, no standing time"
-    found["saving.speed.table1"] = Ours(float(khepera.saving(slow_j, moving_only(fast, static))), note)
+    found["saving.speed.table1"] = Ours(float(saving(slow_j, moving_only(fast, static))), note)
     # the 33 % give the difference of the radios; Bluetooth's own power is at least nought
     total_j = static * task.duration_s + motion_power(f["taskA.speed"] / 1000.0) * f["taskA.tp"]
     difference = f["saving.bluetooth"] / 100.0 * total_j / task.duration_s
     without = moving_only(fast, static - difference)
     note = f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W"
-    found["saving.no_radio.from33"] = Ours(float(khepera.saving(slow_j, without)), note)
+    found["saving.no_radio.from33"] = Ours(float(saving(slow_j, without)), note)
 
     worst = max(abs(f["error.min"]), abs(f["error.max"]))
     found["margin.prediction"] = Ours(float(np.ceil(worst)))
@@ -71,6 +72,55 @@ def ours() -> dict[str, Ours]:
     found["margin.total"] = Ours(sum(parts), note)
     found["accuracy"] = Ours(100.0 - worst)
     return found
+
+
+def motion_law(
+    speed_m_s: ArrayLike,
+    payload_kg: ArrayLike = 0.0,
+    *,
+    per_speed_w_s_m: ArrayLike,
+    per_payload_w_kg: ArrayLike,
+    constant_w: ArrayLike,
+) -> Array:
+    """Motion power, W (Eq. 14: C_v v + C_mp m_p + C_I); nought at rest, where the motors are off. Units of the printed
+    Eq. 15 are not given; m/s and kg are the only ones in which Table I's 0.8 W can be met."""
+    speed = np.abs(f64(speed_m_s))
+    moving = f64(per_speed_w_s_m) * speed + f64(per_payload_w_kg) * f64(payload_kg) + f64(constant_w)
+    return np.where(speed > 0.0, moving, 0.0)
+
+
+def energy_needed(
+    distance_m: ArrayLike,
+    speed_m_s: ArrayLike,
+    *,
+    static_w: ArrayLike,
+    motion_w: ArrayLike,
+    standing_s: ArrayLike = 0.0,
+) -> Array:
+    """Energy of a drive, J (Eq. 12: P_static t_n + P_motion t_p, t_p = d / v, t_n = t_p + standing time)."""
+    moving_s = f64(distance_m) / f64(speed_m_s)
+    return f64(static_w) * (moving_s + f64(standing_s)) + f64(motion_w) * moving_s
+
+
+def saving(before: ArrayLike, after: ArrayLike) -> Array:
+    """Share of energy saved, %: 100 (before − after) / before."""
+    first = f64(before)
+    return 100.0 * (first - f64(after)) / first
+
+
+def component_powers(power_w: ArrayLike, switched_on: ArrayLike) -> Array:
+    """Power of each component [W per unit] from a switching sequence (section III.B, Fig. 2).
+
+    Components are switched on one after the other; each one's power is the step. Least squares over the whole record
+    does the same subtraction, also where components go off again, and with every sample counted. `power_w`: measured,
+    shape (samples,). `switched_on`: units of each component that are on, shape (samples, components). Gives shape
+    (components,). Raises ValueError: where two components are never switched apart.
+    """
+    design = f64(switched_on)
+    values, _, rank, _ = np.linalg.lstsq(design, f64(power_w), rcond=None)
+    if rank < design.shape[1]:
+        raise ValueError("some components are always on or off together: switch them one by one")
+    return f64(values)
 
 
 def motion_power(speed_m_s: float, payload_kg: float = 0.0) -> float:
@@ -119,7 +169,7 @@ def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, floa
     names = [name for name, spec in robot.components.items() if not spec.always_on]
     always = next(name for name, spec in robot.components.items() if spec.always_on)
     on = np.column_stack([np.asarray(line.columns[f"on_{name}"])[index] for name in names] + [np.ones(len(time))])
-    found = khepera.component_powers(power[still], on[still])
+    found = component_powers(power[still], on[still])
     return dict(zip([*names, always], (float(v) for v in found), strict=True))
 
 
@@ -145,19 +195,19 @@ def static_powers(figures: Mapping[str, Figure]) -> StaticPowers:
     slow, fast, task = f["speed.min"] / 1e3, f["speed.max"] / 1e3, f["taskA.speed"] / 1e3
 
     def crossing(speed: float, static: float, standing: float) -> float:
-        power = float(khepera.motion_power(speed, **law))
-        return float(khepera.energy_needed(1.0, speed, static_w=static, motion_w=power, standing_s=standing))
+        power = float(motion_law(speed, **law))
+        return float(energy_needed(1.0, speed, static_w=static, motion_w=power, standing_s=standing))
 
     def residuals(x: Array) -> list[float]:
         plain, bluetooth, wifi, standing = (float(v) for v in x)
-        moving = float(khepera.motion_power(task, **law)) * f["taskA.tp"]
+        moving = float(motion_law(task, **law)) * f["taskA.tp"]
         with_wifi, with_bluetooth = ((plain + radio) * f["taskA.tn"] + moving for radio in (wifi, bluetooth))
         slow_j = crossing(slow, plain + wifi, standing)
         greatest = f["table1.khepera.power"]
         return [
-            float(khepera.saving(slow_j, crossing(fast, plain + wifi, standing))) - f["saving.speed"],
-            float(khepera.saving(with_wifi, with_bluetooth)) - f["saving.bluetooth"],
-            float(khepera.saving(slow_j, crossing(fast, plain, standing))) - f["saving.no_radio"],
+            float(saving(slow_j, crossing(fast, plain + wifi, standing))) - f["saving.speed"],
+            float(saving(with_wifi, with_bluetooth)) - f["saving.bluetooth"],
+            float(saving(slow_j, crossing(fast, plain, standing))) - f["saving.no_radio"],
             100.0 * greatest / (greatest + plain + wifi) - f["table1.khepera.share"],
         ]
 

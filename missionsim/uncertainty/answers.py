@@ -58,9 +58,9 @@ def failures(store: BlockStore, firsts: list[int], total: int) -> Json:
 QUANTILES = {"q01": 0.01, "q05": 0.05, "q25": 0.25, "q50": 0.50, "q75": 0.75, "q95": 0.95, "q99": 0.99}
 LEVEL = 0.95
 IMPORTANCE_RUNS = 100_000
+"""So many runs, the first ones, tell which values matter: enough to know a rank correlation to 0.005."""
 IMPORTANCE_NUMBERS = 8_000_000
 """Numbers of drawn values that are held at a time."""
-"""So many runs, the first ones, tell which values matter: enough to know a rank correlation to 0.005."""
 MARGIN_TOLERANCE_WH = 1e-6
 
 
@@ -107,12 +107,12 @@ def describe(column: Array) -> Json:
 
     mean = float(ordered.mean())
     sd = float(ordered.std(ddof=1)) if ordered[0] < ordered[-1] else 0.0
-    half = float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL)) * sd / math.sqrt(count) if count > 1 else math.inf
+    half = float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL)) * sd / math.sqrt(count) if count > 1 else None
     ranks = {name: quantile_ranks(count, q) for name, q in QUANTILES.items()}
     return {
         "mean": mean,
         "sd": sd,
-        "mean_interval": [_finite(mean - half), _finite(mean + half)],
+        "mean_interval": [None, None] if half is None else [mean - half, mean + half],
         **dict(zip(QUANTILES, np.quantile(ordered, [*QUANTILES.values()]).tolist(), strict=True)),
         "intervals": {name: [_at(ordered, low), _at(ordered, high)] for name, (low, high) in ranks.items()},
     }
@@ -124,7 +124,7 @@ def _at(ordered: Array, rank: int) -> float | None:
 
 
 def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) -> Json:
-    """The answers of a batch; one column of it is in memory at a time, 8 bytes a run.
+    """The answers of a batch; one block, or one column of it, is in memory at a time.
 
     `firsts`: first runs of the blocks that count. Gives ``runs``, ``p_feasible``, ``speed_limited_share``,
     ``batteries``, ``failures``, ``duration_s``, ``importance`` of the contract's JSON. Importance is found from the
@@ -134,76 +134,61 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
     def numbers(name: str) -> Array:
         return np.asarray(store.column(name, firsts), dtype=float)
 
+    def proportion(good: int) -> Json:
+        low, high = proportion_interval(good, total)
+        return {"value": good / total if total else None, "low": low, "high": high}
+
     total = good = limited = 0
-    for table in store.tables(("feasible", "speed_limited"), firsts):
+    names = store.names()
+    components = [name for name in names if name.startswith("component_")]
+    margins = {f"margin_{name}_wh": name for name in batteries}
+    kept = dict.fromkeys(batteries, 0)
+    sums, known = dict.fromkeys(components, 0.0), dict.fromkeys(components, 0)
+    for table in store.tables(("feasible", "speed_limited", "failed_battery", *margins, *components), firsts):
         total, good = total + len(table["feasible"]), good + int(np.count_nonzero(table["feasible"]))
         limited += int(np.count_nonzero(table["speed_limited"]))
-    names = store.names()
+        for column, battery in margins.items():  # no empty battery ended the run, and this one has its reserve
+            enough = np.asarray(table[column], dtype=float) >= -MARGIN_TOLERANCE_WH
+            kept[battery] += int(np.count_nonzero(enough & (table["failed_battery"] == "")))
+        for name in components:
+            finite = table[name][np.isfinite(table[name])]
+            sums[name], known[name] = sums[name] + float(finite.sum()), known[name] + len(finite)
     answer: dict[str, Any] = {
         "runs": total,
-        "p_feasible": _proportion(good, total),
+        "p_feasible": proportion(good),
         "speed_limited_share": limited / total if total else None,
         "duration_s": describe(numbers("duration_s")),
         "batteries": {},
         "failures": failures(store, firsts, total),
     }
-    mean = _means(store, firsts, [name for name in names if name.startswith("component_")])
     for battery in batteries:
         prefix = f"component_{battery}_"
         answer["batteries"][battery] = {
             "energy_wh": describe(numbers(f"energy_{battery}_wh")),
             "margin_wh": describe(numbers(f"margin_{battery}_wh")),
-            "p_reserve": _proportion(_with_reserve(store, firsts, battery), total),
+            "p_reserve": proportion(kept[battery]),
             "capacity_needed_wh": capacity_needed(numbers(f"needed_{battery}_wh")),
             "by_component_wh": {
-                name[len(prefix) : -len("_wh")]: value for name, value in mean.items() if name.startswith(prefix)
+                name[len(prefix) : -len("_wh")]: sums[name] / known[name] if known[name] else None
+                for name in components
+                if name.startswith(prefix)
             },
         }
-    drawn = {f"drawn:{name}": name for name in drawn_columns(names)}
-    used = [f"{what}_{name}_wh" for what in ("energy", "margin") for name in batteries]
-    first = store.beginning(used, firsts, IMPORTANCE_RUNS)
-    answer["importance"] = rank_importance(
-        _drawn(store, firsts, drawn, min(total, IMPORTANCE_RUNS)),
-        {name: first[f"energy_{name}_wh"] for name in batteries},
-        {name: first[f"margin_{name}_wh"] for name in batteries},
-    )
-    answer["importance_runs"] = min(total, IMPORTANCE_RUNS)
+    drawn, count = drawn_columns(names), min(total, IMPORTANCE_RUNS)
+
+    def draws() -> Iterator[tuple[str, Array]]:
+        """Names and draws of the first runs, some columns at a time: there may be thousands of values."""
+        together = max(1, IMPORTANCE_NUMBERS // max(1, count))
+        for low in range(0, len(drawn), together):
+            some = drawn[low : low + together]
+            first = store.beginning([f"drawn:{name}" for name in some], firsts, count)
+            yield from ((name, first[f"drawn:{name}"]) for name in some)
+
+    first = store.beginning([f"{what}_{name}_wh" for what in ("energy", "margin") for name in batteries], firsts, count)
+    energies, left = ({name: first[f"{what}_{name}_wh"] for name in batteries} for what in ("energy", "margin"))
+    answer["importance"] = rank_importance(draws(), energies, left)
+    answer["importance_runs"] = count
     return answer
-
-
-def _drawn(
-    store: BlockStore, firsts: list[int] | None, drawn: Mapping[str, str], count: int
-) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Names and draws of the first runs, some columns at a time: there may be thousands of values."""
-    together = max(1, IMPORTANCE_NUMBERS // max(1, count))
-    for low in range(0, len(drawn), together):
-        columns = [*drawn][low : low + together]
-        first = store.beginning(columns, firsts, count)
-        yield from ((drawn[column], first[column]) for column in columns)
-
-
-def _means(store: BlockStore, firsts: list[int], names: list[str]) -> dict[str, float | None]:
-    total, count = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0)
-    for part in store.tables(names, firsts) if names else ():
-        for name, values in part.items():
-            known = values[np.isfinite(values)]
-            total[name] += float(known.sum())
-            count[name] += len(known)
-    return {name: total[name] / count[name] if count[name] else None for name in names}
-
-
-def _with_reserve(store: BlockStore, firsts: list[int], battery: str) -> int:
-    """How many runs no empty battery ended and left this battery its reserve."""
-    good = 0
-    for part in store.tables((f"margin_{battery}_wh", "failed_battery"), firsts):
-        enough = np.asarray(part[f"margin_{battery}_wh"], dtype=float) >= -MARGIN_TOLERANCE_WH
-        good += int(np.count_nonzero(enough & (part["failed_battery"] == "")))
-    return good
-
-
-def _proportion(good: int, total: int) -> dict[str, Any]:
-    low, high = proportion_interval(good, total)
-    return {"value": good / total if total else None, "low": low, "high": high}
 
 
 def capacity_needed(column: Array, share: float = 0.99) -> Json:
@@ -295,8 +280,3 @@ def _ranks(values: Array) -> tuple[Array, NDArray[np.intp], int]:
     ranks[order] = np.repeat(0.5 * (starts + ends - 1), ends - starts)
     least[order] = np.repeat(starts, ends - starts)
     return ranks, least, len(starts)
-
-
-def _finite(value: float) -> float | None:
-    """None where a sample is too small to bound a quantity: JSON has no infinity."""
-    return value if math.isfinite(value) else None

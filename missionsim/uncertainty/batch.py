@@ -8,7 +8,7 @@ import itertools
 import math
 import os
 import platform
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED as FIRST
 from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -186,6 +186,8 @@ def answer_batch(
     block that is done; `on_damaged`: the first runs of blocks that are computed again. Gives the answer, and the first
     runs of the blocks that count, in order.
     """
+    from missionsim.uncertainty.importance import affordable_samples, sobol_importance
+
     prepared = prepare(task)
     with store.locked():
         store.begin(identity(task, runs), resume=resume)
@@ -202,32 +204,23 @@ def answer_batch(
                 low, high = proportion_interval(good, total)
                 if high - low <= until:
                     break
-        answer = _answer(task, store, firsts, sobol)
+        answer: Json = {
+            "schema": "missionsim.montecarlo/1",
+            "mission": prepared.mission.name,
+            "robot": prepared.mission.robot.name,
+            "seed": task.seed,
+            "engine": prepared.engine,
+            "why_not_arrays": prepared.why_not_arrays,
+            "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
+            "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
+            **summarise(store, firsts, tuple(prepared.mission.robot.batteries)),
+        }
+        sobol = affordable_samples(prepared, task.seed) if sobol is None else sobol
+        if sobol:
+            answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
+        answer["sobol_samples"] = sobol
         write_text(store.folder / "summary.json", to_json(answer))
     return answer, firsts
-
-
-def _answer(task: Task, store: BlockStore, firsts: list[int], sobol: int | None) -> Json:
-    """All that the batch says, as JSON has it."""
-    from missionsim.uncertainty.importance import affordable_samples, sobol_importance
-
-    prepared = prepare(task)
-    answer: Json = {
-        "schema": "missionsim.montecarlo/1",
-        "mission": prepared.mission.name,
-        "robot": prepared.mission.robot.name,
-        "seed": task.seed,
-        "engine": prepared.engine,
-        "why_not_arrays": prepared.why_not_arrays,
-        "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
-        "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
-        **summarise(store, firsts, tuple(prepared.mission.robot.batteries)),
-    }
-    sobol = affordable_samples(prepared, task.seed) if sobol is None else sobol
-    if sobol:
-        answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
-    answer["sobol_samples"] = sobol
-    return answer
 
 
 def _finished(
@@ -244,8 +237,9 @@ def _finished(
     decided = replace(task, engine=prepare(task).engine)  # so that no worker tries again what cannot be arrays
     if executor is not None:  # a cluster's workers may see other disks
         work = functools.partial(compute_block, decided)
-        try:
-            yield from _pooled(executor, work, blocks, store, lambda: _cluster_room(executor))
+        client: Any = executor
+        try:  # twice its threads, as many as they are now
+            yield from _pooled(executor, work, blocks, store, lambda: max(8, 2 * int(sum(client.nthreads().values()))))
         except (OSError, CancelledError) as error:
             if isinstance(error, OSError) and error.filename is not None:
                 raise
@@ -274,11 +268,6 @@ def _finished(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _cluster_room(client: Any) -> int:
-    """Blocks that a cluster may hold at once: twice its threads, as many as they are now."""
-    return max(8, 2 * int(sum(client.nthreads().values())))
-
-
 def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
     """Compute a block and write it here, so that its numbers need not travel between processes."""
     store.write(first, compute_block(task, first, count))
@@ -304,22 +293,19 @@ def _pooled(
     for first, count in blocks:
         fill()
         while not store.has(first):
-            for future in _done(under_way):
+            listed = list(under_way)
+            if listed and not isinstance(listed[0], Future):  # of a cluster's client
+                from distributed import wait as cluster_wait
+
+                done = cluster_wait(listed, return_when=FIRST).done
+            else:
+                done = wait(listed, return_when=FIRST).done
+            for future in done:
                 begin, columns = under_way.pop(future), future.result()
                 if columns is not None:
                     store.write(begin, columns)
             fill()
         yield first, count
-
-
-def _done(futures: Iterable[Future[T]]) -> set[Future[T]]:
-    """The futures that are done, once at least one is; works for those of a cluster's client as well."""
-    listed = list(futures)
-    if listed and not isinstance(listed[0], Future):
-        from distributed import wait as cluster_wait
-
-        return set(cluster_wait(listed, return_when="FIRST_COMPLETED").done)
-    return wait(listed, return_when=FIRST).done
 
 
 def paired_difference(quantity: str, baseline: Array, other: Array) -> Json | None:

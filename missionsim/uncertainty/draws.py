@@ -115,7 +115,16 @@ class Sampler:
             if name in correlated:
                 found[name] = law.quantile(correlated[name])
             elif law.of_scores:
-                found[name] = _from_scores(law, streams, name, first, count)
+                scores, (low, high) = streams.normals(name, first, count), law.score_bounds
+                outside = np.zeros(0, dtype=np.intp)
+                if max(low, -high) > -LARGEST_NORMAL and count and (scores.min() < low or scores.max() > high):
+                    outside = np.flatnonzero((scores < low) | (scores > high))
+                found[name] = law.at_scores(scores)
+                if outside.size:
+                    # where bounds cut a score off, a fresh number of the run takes its place: a score inside has the
+                    # truncated distribution already, and so has the fresh one, hence their mixture too
+                    fresh = streams.uniforms(f"{name}\x00outside", first, count)[outside]
+                    found[name][outside] = law.quantile(fresh)
             else:
                 found[name] = law.quantile(streams.uniforms(name, first, count))
         return found
@@ -141,20 +150,6 @@ class Sampler:
                     mixed = mixed + cholesky[i, j] * scores[names[j]]
                 found[name] = ndtr(mixed)
         return found
-
-
-def _from_scores(law: Distribution, streams: Streams, name: str, first: int, count: int) -> Array:
-    """Draws from normal scores; where bounds cut a score off, a fresh number of the run takes its place. A score inside
-    the bounds has the truncated distribution already, and so has the fresh one: their mixture too."""
-    scores = streams.normals(name, first, count)
-    low, high = law.score_bounds
-    outside = np.zeros(0, dtype=np.intp)
-    if max(low, -high) > -LARGEST_NORMAL and count and (scores.min() < low or scores.max() > high):
-        outside = np.flatnonzero((scores < low) | (scores > high))
-    values = law.at_scores(scores)
-    if outside.size:
-        values[outside] = law.quantile(streams.uniforms(f"{name}\x00outside", first, count)[outside])
-    return values
 
 
 def make_sampler(mission: MissionSpec) -> Sampler:

@@ -87,7 +87,15 @@ def phases_of(
     `plan`: of many runs; `nominal`: from which `parts` are; `startup_s` (shape (runs,)): of each component. Gives
     phases, the part of each, and which runs have another order of events.
     """
-    by_leg, usual = _by_leg(plan), _by_leg(nominal)
+    by_leg, usual = (
+        grouped((phase for step in of.steps for phase in step.phases), lambda phase: phase.leg)
+        for of in (plan, nominal)
+    )
+
+    def lasting(phase: Phase) -> Any:
+        recharge = plan.legs[phase.leg].recharge
+        return phase.duration_s if recharge is None else recharge.duration_s
+
     made: list[Phase] = []
     which: list[int] = []
     odd: Truth = False
@@ -107,7 +115,7 @@ def phases_of(
             odd, now = odd | (ready[0] - now < -TIE_S), ready[0]
         elif part.phase is None:
             for phase in by_leg[part.leg]:
-                made.append(phase._replace(duration_s=_lasting(plan, phase)))
+                made.append(phase._replace(duration_s=lasting(phase)))
                 now = now + made[-1].duration_s
         else:
             known = by_leg[part.leg]
@@ -116,30 +124,19 @@ def phases_of(
             phase = known[part.phase]
             if begun[0] != (part.leg, part.phase):
                 begun = (part.leg, part.phase), now
-            end = ready[0] if ready else begun[1] + _lasting(plan, phase)
+            end = ready[0] if ready else begun[1] + lasting(phase)
             lasts, odd = cast("float", np.maximum(end - now, 0.0)), odd | (end - now < -TIE_S)
-            made.append(_later(phase, now - begun[1])._replace(duration_s=lasts))
+            gone = cast("float", now - begun[1])
+            phase = phase._replace(  # what is left of it
+                duration_s=lasts,
+                speed_m_s=phase.speed_m_s + phase.accel_m_s2 * gone,
+                lateral_m_s=phase.lateral_m_s + phase.lateral_m_s2 * gone,
+                yaw_rad_s=phase.yaw_rad_s + phase.yaw_rad_s2 * gone,
+            )
+            made.append(phase)
             now = end
         which += [number] * (len(made) - len(which))
     return made, which, odd
-
-
-def _by_leg(plan: Plan) -> dict[int, list[Phase]]:
-    return grouped((phase for step in plan.steps for phase in step.phases), lambda phase: phase.leg)
-
-
-def _lasting(plan: Plan, phase: Phase) -> Any:
-    recharge = plan.legs[phase.leg].recharge
-    return phase.duration_s if recharge is None else recharge.duration_s
-
-
-def _later(phase: Phase, seconds: Any) -> Phase:
-    """What is left of a phase after some time."""
-    return phase._replace(
-        speed_m_s=phase.speed_m_s + phase.accel_m_s2 * seconds,
-        lateral_m_s=phase.lateral_m_s + phase.lateral_m_s2 * seconds,
-        yaw_rad_s=phase.yaw_rad_s + phase.yaw_rad_s2 * seconds,
-    )
 
 
 def charge_course(

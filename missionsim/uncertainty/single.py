@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -33,18 +34,6 @@ def simulate_run(
     plan = make_plan(mission, split_values(drawn, model)[0], run_generator(seed, "chance", run))
     result = simulate(mission, values=drawn, plan=plan, model=model)
     return {**drawn, **_chance(plan)}, result, plan.limited
-
-
-def _plans(mission: MissionSpec, numbers: Draws, count: int) -> list[Plan | None]:
-    """The plans of many runs, made at once; None of those that are to be planned alone."""
-    try:
-        together = plan_runs(mission, numbers)
-    except MissionsimError:
-        return [None] * count
-    plans: list[Plan | None] = [*together.each(count)]
-    for i in [] if together.odd is None else np.flatnonzero(together.odd):
-        plans[int(i)] = None
-    return plans
 
 
 def _chance(plan: Plan) -> dict[str, float]:
@@ -79,7 +68,12 @@ def simulate_block(
     draws = dict(draws or sampler.draw(seed, first, count))
     chance = left_to_chance(mission)
     numbers, drawn = split_values(draws, model)
-    plans: list[Plan | None] = [None] * count if chance else _plans(mission, numbers, count)
+    plans: list[Plan | None] = [None] * count  # made at once, but for those that are to be planned alone
+    if not chance:
+        with contextlib.suppress(MissionsimError):
+            planned = plan_runs(mission, numbers)
+            odd = [False] * count if planned.odd is None else planned.odd
+            plans = [None if alone else plan for plan, alone in zip(planned.each(count), odd, strict=True)]
     made: list[Plan | None] = [None] * count
     rows_of = {**numbers, **drawn}
     each = list(zip(*(np.asarray(column).tolist() for column in rows_of.values()), strict=True)) or [()] * count

@@ -106,7 +106,14 @@ class BlockStore:
                     got=str(error).splitlines()[0],
                     allowed="--resume computes it again",
                 ) from error
-            yield {name: _numpy(table.column(name).combine_chunks()) for name in names}
+            found: dict[str, NDArray[np.generic]] = {}
+            for name in names:
+                chunk = table.column(name).combine_chunks()
+                if hasattr(chunk.type, "list_size"):
+                    found[name] = np.asarray(chunk.flatten()).reshape(-1, chunk.type.list_size)
+                else:
+                    found[name] = np.asarray(chunk.to_numpy(zero_copy_only=False))
+            yield found
 
     def beginning(self, names: Sequence[str], firsts: list[int] | None, count: int) -> dict[str, Array]:
         """The first `count` numbers of some columns."""
@@ -191,9 +198,3 @@ def _flat(identity: Mapping[str, Any]) -> dict[str, Any]:
 def _short(value: Any) -> str:
     text = str(value)
     return f"{text[:8]}…" if len(text) == 64 else text
-
-
-def _numpy(chunk: Any) -> NDArray[np.generic]:
-    if hasattr(chunk.type, "list_size"):
-        return np.asarray(chunk.flatten()).reshape(-1, chunk.type.list_size)
-    return np.asarray(chunk.to_numpy(zero_copy_only=False))

@@ -18,7 +18,6 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import khepera
 from missionsim.published import hou2019, jaiem2021, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import (
     ABOUT,
@@ -144,7 +143,7 @@ def test_task_a_is_equation_12_and_its_record_equation_16() -> None:
     result = run(parasuraman2012.TASK_A["wifi"])
     energy_j = result.batteries["robot"].energy_wh * 3600.0
     speed = float(mission(parasuraman2012.TASK_A["wifi"]).defaults.speed or 0.0)
-    needed = khepera.energy_needed(
+    needed = parasuraman2012.energy_needed(
         result.distance_m,
         speed,
         static_w=parasuraman2012.static_power("wifi"),

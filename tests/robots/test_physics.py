@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missionsim.physics import electrical, khepera, mecanum, motion
+from missionsim.physics import electrical, mecanum, motion
+from missionsim.published import parasuraman2012
 
 speeds = st.floats(-3.0, 3.0)
 angles = st.floats(-3.1, 3.1)
@@ -87,7 +88,7 @@ def test_throughput_saturates() -> None:
 def test_components_that_are_never_apart_are_refused() -> None:
     on = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
     with pytest.raises(ValueError, match="switch them one by one"):
-        khepera.component_powers([3.0, 1.0, 3.0], on)
+        parasuraman2012.component_powers([3.0, 1.0, 3.0], on)
 
 
 def test_relocalisation_stretch_against_the_drawn_path() -> None:
