@@ -143,6 +143,7 @@ def _named(value: Any, name: str) -> Any:
 
 _EFFECTS = tuple(declared(id, told) for id, told in _FILE["effects"].items())
 _EXECUTION = tuple(declared(id, told) for id, told in _FILE["execution"].items())
+_KNOWN = {effect.id: effect for effect in (*_EFFECTS, *_EXECUTION)}
 FLOORS = tuple(_FILE["floors"])
 """Ids of the effects with a coefficient for each floor."""
 
@@ -177,12 +178,9 @@ def floor_effect(id: str, surface: str) -> Effect:
 
 
 def _of_family(family: str, name: str) -> Effect:
-    return declared(f"{family}:{name}", _named(_FILE["families"][family], name))
-
-
-def battery_resistance(battery: str) -> Effect:
-    """`battery_resistance`: ``k (P/U)²`` of the load on a battery whose voltage is known."""
-    return declared("battery_resistance", _named(_FILE["families"]["battery_resistance"], battery))
+    """The effect of a family for what its id names; of ``battery_resistance`` for the battery that it loads."""
+    id = family if family == "battery_resistance" else f"{family}:{name}"
+    return declared(id, _named(_FILE["families"][family], name))
 
 
 def logged_power_effect(column: str) -> Effect:
@@ -230,9 +228,8 @@ _FAMILIES: dict[str, Callable[[str], Effect]] = {
 
 def effect_ids() -> tuple[str, ...]:
     """Every id of the library; families stand as ``component_power:<component>``."""
-    plain = [effect.id for effect in (*_EFFECTS, *_EXECUTION)]
     return (
-        *plain,
+        *_KNOWN,
         *FLOORS,
         "battery_resistance",
         "component_power:<component>",
@@ -250,16 +247,15 @@ def get_effect(id: str, surfaces: tuple[str, ...] = (), battery: str = "<battery
     ``surface_rolling_resistance`` or ``surface_turning_scrub``. `battery`: the battery that ``battery_resistance``
     loads. Raises InputError: for an id that the library does not hold, with the closest one.
     """
-    known = {effect.id: effect for effect in (*_EFFECTS, *_EXECUTION)}
-    if id in known:
-        return known[id]
+    if id in _KNOWN:
+        return _KNOWN[id]
     family, _, name = id.partition(":")
     if family in _FAMILIES and name:
         return _FAMILIES[family](name)
     if id in FLOORS:
         return floors_effect(id, surfaces)
     if id == "battery_resistance":
-        return battery_resistance(battery)
+        return _of_family("battery_resistance", battery)
     others = plugins(Effect)
     if id in others:
         return others[id]
@@ -282,7 +278,7 @@ def all_effects(
     Execution effects are not in it; they need a plan (`execution_effects`)."""
     return (
         *_EFFECTS,
-        battery_resistance(battery),
+        _of_family("battery_resistance", battery),
         *(floors_effect(id, surfaces) for id in FLOORS if surfaces),
         *(logged_power_effect(name) for name in columns),
         *(_of_family("component_power", name) for name in components),

@@ -78,7 +78,7 @@ class Term:
     link: tuple[str, float] = ("", 1.0)
     """Path and value of the efficiency that is in `scale`."""
 
-    @property
+    @cached_property
     def limited(self) -> bool:
         """Whether what it gives back ends where the drive needs nothing any more, but for the robot's regeneration."""
         own = {name: parameter.value for name, parameter in self.parameters.items()}
@@ -295,8 +295,14 @@ class PowerModel:
             found[name] = found[name] + slope if name in found else slope
 
         own = alone = self.of(battery)
+        regenerates = self.constants.get("regeneration", 0.0) > 0.0
         if "regeneration" in self.parameters_of(battery) or any(
-            (self._limits(term) or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
+            # limited by what the drive needs, or of the load: the powers of the model are then not a plain sum
+            (
+                term.effect.of_load
+                or (term.limited and (not term.effect.one_sided or "relief" in term.parameters or regenerates))
+            )
+            and any(p.value != 0.0 for p in term.parameters.values())
             for term in own
         ):
             alone = tuple(t for t in own if not (t.effect.drive or t.effect.recovers))
@@ -316,13 +322,6 @@ class PowerModel:
                     up, down = (term.effect.power(cov, values) for values in moved)
                     add(term.name_of(name), up, down, term.scale)
         return {name: found[name] for name in self.parameters_of(battery) if name in found}
-
-    def _limits(self, term: Term) -> bool:
-        """Whether a term is limited by what the drive needs, so that the powers of the model are not a plain sum."""
-        asked = (
-            not term.effect.one_sided or "relief" in term.parameters or self.constants.get("regeneration", 0.0) > 0.0
-        )
-        return term.limited and asked
 
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
         """A model with other parameter values, by ``battery/name``. Raises InputError: for a name that the model does

@@ -51,18 +51,16 @@ class MotionModel:
         for effect in self.terms:
             if effect.coefficient.name not in parameters and not effect.coefficient.default:
                 continue
+            held = ("assumed", "default of the motion model")
             values = {
-                spec.name: parameters.get(spec.name) or _default(spec)
+                spec.name: parameters.get(spec.name)
+                or ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, *held)
                 for spec in effect.parameters
                 if spec.name in parameters or not spec.optional
             }
             names = {name: name for name in values}
             terms.append(Term(TermKey(battery, effect.component, effect.id), effect, values, names))
         return terms
-
-
-def _default(spec: ParameterSpec) -> ModelParameter:
-    return ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, "assumed", "default of the motion model")
 
 
 def _own() -> tuple[str, ...]:
@@ -104,20 +102,10 @@ class LawModel:
     power: Callable[[Covariates, Parameters], Value]
 
 
-def clock(cov: Covariates, p: Parameters) -> Value:
-    """Clock [Hz]: ``cpu_freq_hz`` where it is known, else the highest."""
-    return _given(cov, "cpu_freq_hz", p["high_freq"])
-
-
-def load(cov: Covariates, p: Parameters) -> Value:
-    """Utilisation of a busy core: ``cpu_load`` where it is known, else batch rate times loop time, at most 1."""
-    return _given(cov, "cpu_load", electrical.utilisation(loop_time(cov, p), batch_rate_hz=p["batch_rate"]))
-
-
 def loop_time(cov: Covariates, p: Parameters) -> Value:
     """Time per batch (PLPT) [s]."""
     return electrical.loop_time(
-        clock(cov, p),
+        _given(cov, "cpu_freq_hz", p["high_freq"]),
         cov["speed_m_s"],
         _given(cov, "complexity", 1.0),
         fixed_s=p["fixed_time"],
@@ -127,10 +115,11 @@ def loop_time(cov: Covariates, p: Parameters) -> Value:
 
 
 def cpu_power(cov: Covariates, p: Parameters) -> Value:
-    """Power of one board that is on [W]."""
+    """Power of one board that is on [W]: at ``cpu_freq_hz``, else the highest clock; its busy cores loaded with
+    ``cpu_load``, else by the batches that come times the time that one takes."""
     return electrical.multicore_power(
-        clock(cov, p),
-        load(cov, p),
+        _given(cov, "cpu_freq_hz", p["high_freq"]),
+        _given(cov, "cpu_load", electrical.utilisation(loop_time(cov, p), batch_rate_hz=p["batch_rate"])),
         board_idle_w=p["board_idle"],
         core_work_w=p["core_work"],
         core_idle_w=p["core_idle"],
@@ -150,12 +139,12 @@ def _given(cov: Covariates, name: str, default: Value) -> Value:
     return default if value is None else np.where(np.isnan(value), default, value)
 
 
-def _sampled(cov: Covariates, p: Parameters) -> Value:
-    rate = number(cov, "sensor_rate_hz", p["rate"])
-    return electrical.sensor_power(rate, per_rate_w_s=p["per_rate"], constant_w=p["constant"])
-
-
-_POWERS: dict[str, Callable[[Covariates, Parameters], Value]] = {"multicore_cpu": cpu_power, "sampled_sensor": _sampled}
+_POWERS: dict[str, Callable[[Covariates, Parameters], Value]] = {
+    "multicore_cpu": cpu_power,
+    "sampled_sensor": lambda cov, p: electrical.sensor_power(
+        number(cov, "sensor_rate_hz", p["rate"]), per_rate_w_s=p["per_rate"], constant_w=p["constant"]
+    ),
+}
 
 
 @functools.cache

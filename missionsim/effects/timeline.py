@@ -146,10 +146,10 @@ _KRONROD = np.array([
     0.1690047266392679, 0.19035057806478542, 0.20443294007529889, 0.20948214108472782,
 ])  # fmt: skip
 _GAUSS = np.array([0.1294849661688697, 0.27970539148927664, 0.3818300505051189, 0.4179591836734694])
-NODES = np.concatenate([-_NODES[:-1], [0.0], _NODES[:-1][::-1]])
-WEIGHTS = np.concatenate([_KRONROD[:-1], _KRONROD[-1:], _KRONROD[:-1][::-1]])
+NODES = np.concatenate([-_NODES, _NODES[-2::-1]])
+WEIGHTS = np.concatenate([_KRONROD, _KRONROD[-2::-1]])
 GAUSS_WEIGHTS = np.zeros(15)
-GAUSS_WEIGHTS[1::2] = np.concatenate([_GAUSS[:-1], _GAUSS[-1:], _GAUSS[:-1][::-1]])
+GAUSS_WEIGHTS[1::2] = np.concatenate([_GAUSS, _GAUSS[-2::-1]])
 _GAP = 1.0 - float(NODES[-1])
 _ENDS = np.outer([-1.0, 1.0], 1.0 - np.array([1e-7, 0.125 * _GAP])).ravel()
 """More samples beyond the outermost nodes, which see no kink there; not at the very ends, where a power may jump."""
@@ -157,15 +157,10 @@ SAMPLES = np.concatenate([NODES, _ENDS])
 """Where a power is asked for within an interval, on [-1, 1]; see `averaged`."""
 
 
-def _towards(points: Array) -> Array:
-    """Values of the polynomial through the nodes at other points, as a matrix of shape (nodes, points)."""
-    apart = NODES[:, None] - NODES[None, :] + np.eye(len(NODES))
-    weights = 1.0 / np.prod(apart, axis=1)  # barycentric (Berrut and Trefethen 2004)
-    terms = weights[:, None] / (points[None, :] - NODES[:, None])
-    return np.asarray(terms / terms.sum(axis=0))
-
-
-_TO_ENDS = _towards(_ENDS)
+# values of the polynomial through the nodes at the ends: barycentric (Berrut and Trefethen 2004)
+_APART = NODES[:, None] - NODES[None, :] + np.eye(len(NODES))
+_TERMS = (1.0 / np.prod(_APART, axis=1))[:, None] / (_ENDS[None, :] - NODES[:, None])
+_TO_ENDS = np.asarray(_TERMS / _TERMS.sum(axis=0))
 _KINK = 0.25 * _GAP
 """A kink beyond the outermost node that moves the power at the end by 1 moves the mean by this much at most."""
 
@@ -200,7 +195,17 @@ def integrate(
             energies[battery] = {key: power * timeline.duration_s for key, power in terms.items()}
     index = np.flatnonzero(timeline.changing(model) & (timeline.duration_s > 0.0))
     if index.size:
-        index, offset, length = _pieces(index, timeline.duration_s, bool(model.memory or model.lags))
+        length = timeline.duration_s[index]
+        offset = np.zeros(index.size)
+        if model.memory or model.lags:
+            # begun with 1, 1, 2, 4, 8 … s where a term may fade after the start: a quadrature over hours would not see
+            # a transient of seconds at their beginning, nor notice that it did not
+            cuts = [
+                np.concatenate([[0.0], 2.0 ** np.arange(max(0, np.ceil(np.log2(max(t, 1.0))))), [t]]) for t in length
+            ]
+            lengths = [np.diff(cut) for cut in cuts]
+            index = np.repeat(index, [len(one) for one in lengths])
+            offset, length = np.concatenate([cut[:-1] for cut in cuts]), np.concatenate(lengths)
         _quadrature(model, timeline, values or {}, index, offset, length, energies)
     for key, joules in model.impulses(cov, values).items():
         energies[key.battery][key] = energies[key.battery][key] + np.broadcast_to(joules, (count,))
@@ -284,19 +289,6 @@ def within(
         begin = {name: start[which] for name, start in line.lags.items()}
         cov |= {name: lag(rows, seconds) for name, lag in _solved(model, line, which, values or {}, begin).items()}
     return cov
-
-
-def _pieces(index: NDArray[np.intp], duration_s: Array, memory: bool) -> tuple[NDArray[np.intp], Array, Array]:
-    """Pieces to begin with: whole intervals, or 1, 1, 2, 4, 8 … s where a term may fade after the start. A quadrature
-    over hours would not see a transient of seconds at their beginning, nor notice that it did not."""
-    if not memory:
-        return index, np.zeros(index.size), duration_s[index]
-    cuts = [
-        np.concatenate([[0.0], 2.0 ** np.arange(max(0, np.ceil(np.log2(max(t, 1.0))))), [t]]) for t in duration_s[index]
-    ]
-    lengths = [np.diff(cut) for cut in cuts]
-    counts = [len(length) for length in lengths]
-    return np.repeat(index, counts), np.concatenate([cut[:-1] for cut in cuts]), np.concatenate(lengths)
 
 
 def _quadrature(
