@@ -11,11 +11,11 @@ from missionsim.diagnose.features import Features, effect_columns
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
 from missionsim.effects.model import PowerModel
 from missionsim.fit.prepare import prepare
-from missionsim.identify.data import RunData
+from missionsim.identify.data import Constraints, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.findings import Experiment, Finding, Unexplained
 from missionsim.identify.forward import Choice
-from missionsim.identify.gram import Constraints, Gram, make_gram, single_gains
+from missionsim.identify.gram import Gram, make_gram, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.settings import BETTER_NATS, DECIDED_NATS, ENOUGH_NATS, LENGTHS, MOST_PROPOSED, Settings
 from missionsim.runs.run import Run

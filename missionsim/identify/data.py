@@ -1,15 +1,16 @@
-"""What goes into the identification: runs as plain arrays, candidate effects."""
+"""What goes into the identification: runs as plain arrays, candidate effects, and what their columns must obey."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.settings import NEVER_ON_PART
+from missionsim.identify.settings import NEVER_ON_PART, SHAPE_NATS, Settings
 from missionsim.physics import Array
 
 Refit = Callable[[Mapping[str, float]], Sequence[Array]]
@@ -137,3 +138,58 @@ class Layout:
     def unit(self, column: int) -> float:
         """Coefficient of a column for a share of 1."""
         return self.mean_power_w / self.columns[column].watts_per_unit
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What a set of columns must obey: signs, and one column of a grid at a time; and whose columns they are.
+
+    ``sign`` (p,) and ``effect`` (p,) by column; ``joint`` (p,) is True for levels of one label, which may be in
+    together.
+    """
+
+    sign: NDArray[np.intp]
+    effect: NDArray[np.intp]
+    joint: NDArray[np.bool_]
+    candidates: Sequence[Candidate] = ()
+    settings: Settings = field(default_factory=Settings)
+
+    @classmethod
+    def of(
+        cls,
+        layout: Layout,
+        candidates: Sequence[Candidate],
+        settings: Settings = Settings(),  # noqa: B008 (frozen)
+    ) -> Constraints:
+        """Constraints of the columns of a layout."""
+        own = [candidates[c.candidate] for c in layout.columns]
+        return cls(
+            np.array([c.sign if c.prior is None or c.sign else 1 for c in own], dtype=np.intp),
+            np.array([c.candidate for c in layout.columns], dtype=np.intp),
+            np.array([bool(c.levels) for c in own], dtype=bool),
+            candidates,
+            settings,
+        )
+
+    @cached_property
+    def grid_nats(self) -> Array:
+        """Nats that each column owes to its grid of shapes, which bends towards noise and other forms, shape (p,)."""
+        number = np.bincount(self.effect)[self.effect]
+        return np.where(self.joint | (number == 1), 0.0, np.maximum(np.log(number), SHAPE_NATS))
+
+    def of_column(self, column: int) -> Candidate:
+        """The effect of a column."""
+        return self.candidates[int(self.effect[column])]
+
+    def split(self, chosen: Sequence[int], effect: int) -> tuple[list[int], list[int]]:
+        """Chosen columns of an effect (its number), and the others."""
+        own = [k for k in chosen if self.effect[k] == effect]
+        return own, [k for k in chosen if self.effect[k] != effect]
+
+    def numbers(self, chosen: Iterable[int]) -> list[int]:
+        """Numbers of the effects of some columns, each once, in their order."""
+        return list(dict.fromkeys(int(self.effect[k]) for k in chosen))
+
+    def compatible(self, column: int, chosen: Sequence[int]) -> bool:
+        """Whether a column may join a set."""
+        return all(o != column and (self.effect[o] != self.effect[column] or self.joint[column]) for o in chosen)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Bins, Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
-from missionsim.identify.averaging import Intervals, Weights, integral_curves
-from missionsim.identify.data import Candidate, Column, Layout, RunData
+from missionsim.identify.align import Clock, find_clock
+from missionsim.identify.averaging import Intervals, RunColumns, Weights, integral_curves, make_bins
+from missionsim.identify.data import Candidate, Column, Constraints, Layout, RunData
 from missionsim.identify.settings import (
     CLOCK_SD_S,
     CLOCK_SD_S2,
@@ -82,33 +83,6 @@ class Design:
         return out
 
 
-@dataclass(frozen=True)
-class Frame:
-    """What a design holds for any clock: measured power, times, and where runs and stretches lie."""
-
-    y: Array
-    duration_s: Array
-    time_s: Array
-    runs: tuple[slice, ...]
-    stretches: tuple[slice, ...]
-
-    @classmethod
-    def of(cls, bins: Sequence[Bins]) -> Frame:
-        """Intervals of all runs one after the other."""
-        runs: list[slice] = []
-        stretches: list[slice] = []
-        total = 0
-        for b in bins:
-            count = len(b.measured_w)
-            runs.append(slice(total, total + count))
-            ends = [*(total + b.starts[1:]), total + count]
-            stretches += [slice(int(total + first), int(end)) for first, end in zip(b.starts, ends, strict=True)]
-            total += count
-        low, high = np.concatenate([b.low_s for b in bins]), np.concatenate([b.high_s for b in bins])
-        y = np.concatenate([b.measured_w for b in bins])
-        return cls(y, high - low, 0.5 * (high + low), tuple(runs), tuple(stretches))
-
-
 @dataclass
 class Source:
     """Runs at the raw rate, kept so that the design can be rebuilt for another clock or other columns."""
@@ -117,155 +91,126 @@ class Source:
     columns: list[RunColumns]
     covariates: tuple[str, ...]
     layout: Layout
+    constraints: Constraints
     clock: Clock
     aligned: bool = False
     kept: tuple[int, ...] = ()
     """Numbers of the given runs that were long enough."""
-    _root: Source | None = None
-    """The source that this one varies, and the integral curves of the columns that differ."""
     _: KW_ONLY
-    _varied: dict[int, Array] = field(default_factory=dict)
-    _kept_design: tuple[tuple[Clock, tuple[int, ...]], Design] | None = None
-    _even: list[EvenGrid] | None = None
-    _frame: Frame | None = None
-    _grid: Intervals | None = None
-    _kept_base: Array | None = None
-    _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict)
-    _kept_weights: tuple[Clock, Weights] | None = None
+    root: Source | None = None
+    """The source that this one varies."""
+    varied: dict[int, Array] = field(default_factory=dict)
+    """Integral curves of the columns that differ from those of the root."""
+    _kept_design: tuple[tuple[Clock, tuple[int, ...]], Design] | None = field(default=None, init=False)
+    _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict, init=False)
+    _kept_weights: tuple[Clock, Weights] | None = field(default=None, init=False)
 
     def with_column(self, column: int, layout: Layout, rows: Sequence[Array]) -> Source:
         """The same runs with one column, an array (rows,) for each run, evaluated anew; the rest is shared."""
-        root = self._root or self
-        curve = integral_curves(
-            [
-                grid.on(np.asarray(values, dtype=float)[None, :])
-                for grid, values in zip(root._grids(), rows, strict=True)
-            ]
-        )
-        return Source(
-            self.runs,
-            self.columns,
-            self.covariates,
-            layout,
-            self.clock,
-            self.aligned,
-            self.kept,
-            _root=root,
-            _varied={**self._varied, column: curve},
-        )
+        root = self.root or self
+        raw = [np.asarray(values, dtype=float)[None, :] for values in rows]
+        curve = integral_curves([run.grid.on(values) for run, values in zip(self.columns, raw, strict=True)])
+        return replace(self, layout=layout, root=root, varied={**self.varied, column: curve})
 
     def of_runs(self, numbers: Sequence[int]) -> Source:
         """The same columns in some of the runs."""
-        root = self._root or self
         ends = np.cumsum([0, *(run.values.shape[1] + 1 for run in self.columns)])
         at = np.concatenate([np.arange(ends[j], ends[j + 1]) for j in numbers])
-        return Source(
-            tuple(self.runs[j] for j in numbers),
-            [self.columns[j] for j in numbers],
-            self.covariates,
-            self.layout,
-            self.clock.of_runs(numbers),
-            self.aligned,
-            tuple(self.kept[j] for j in numbers),
-            _root=None if self._root is None else root.of_runs(numbers),
-            _varied={k: curve[:, at] for k, curve in self._varied.items()},
+        return replace(
+            self,
+            runs=tuple(self.runs[j] for j in numbers),
+            columns=[self.columns[j] for j in numbers],
+            clock=self.clock.of_runs(numbers),
+            kept=tuple(self.kept[j] for j in numbers),
+            root=None if self.root is None else self.root.of_runs(numbers),
+            varied={k: curve[:, at] for k, curve in self.varied.items()},
         )
 
     def rows_of(self, numbers: Sequence[int]) -> NDArray[np.intp]:
         """Where the rows of some runs stand in a design, shape (rows,)."""
-        runs = (self._root or self)._rows().runs
-        return np.concatenate([np.arange(runs[j].start, runs[j].stop) for j in numbers])
+        ends = np.cumsum([0, *(len(run.bins.measured_w) for run in self.columns)])
+        return np.concatenate([np.arange(ends[j], ends[j + 1]) for j in numbers])
+
+    def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
+        """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
+        root = self.root or self
+        finite = [np.nan_to_num(np.asarray(rows, dtype=float)) for rows in raw]
+        curves = integral_curves([run.grid.on(rows) for run, rows in zip(self.columns, finite, strict=True)])
+        return np.ascontiguousarray(root.intervals.means(curves, root._weights(clock)).T)
+
+    @cached_property
+    def intervals(self) -> Intervals:
+        """Analysis intervals of all runs."""
+        return Intervals.of(self.columns)
+
+    @cached_property
+    def _base_curve(self) -> Array:
+        """Integral curve of the base model, shape (2, edges, 1)."""
+        return integral_curves([run.values[:1] for run in self.columns])
+
+    def _weights(self, clock: Clock) -> Weights:
+        """Weights of a clock; those of the last one are kept."""
+        if self._kept_weights is None or self._kept_weights[0] != clock:
+            delays = clock.delay_s + np.asarray(clock.run_delay_s)
+            self._kept_weights = (clock, self.intervals.weights(delays, clock.lag_s))
+        return self._kept_weights[1]
 
     def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
         """Build the regression for a clock, with all candidate columns or some only."""
         chosen = tuple(range(len(self.layout.columns))) if only is None else tuple(only)
-        root = self._root or self
-        found = root._kept_design[1] if root._kept_design and root._kept_design[0] == (clock, chosen) else None
-        if found is None:
-            found = root._built(clock, chosen)
-            root._kept_design = ((clock, chosen), found)
-        if root is self:
-            return found
-        phi = found.phi.copy()
-        for place, k in enumerate(chosen):
-            if k in self._varied:
-                means = root._intervals().means(self._varied[k], root._weights(clock))[:, 0]
-                phi[place] = means * self.layout.unit(k)
-        return replace(found, layout=self.layout, phi=phi)
+        if self.root is not None:
+            found = self.root.design(clock, chosen)
+            phi = found.phi.copy()
+            for place, k in enumerate(chosen):
+                if k in self.varied:
+                    means = self.root.intervals.means(self.varied[k], self.root._weights(clock))[:, 0]
+                    phi[place] = means * self.layout.unit(k)
+            return replace(found, layout=self.layout, phi=phi)
+        if self._kept_design is None or self._kept_design[0] != (clock, chosen):
+            self._kept_design = ((clock, chosen), self._built(clock, chosen))
+        return self._kept_design[1]
 
-    def _built(self, clock: Clock, chosen: Sequence[int]) -> Design:
+    def _built(self, clock: Clock, chosen: tuple[int, ...]) -> Design:
         q = len(self.layout.parameters)
-        grid = self._intervals()
-        curves = self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen)))
-        here = np.ascontiguousarray(grid.means(curves, self._weights(clock)).T)
+        used = (*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen))
+        curves = self._kept_curves.pop(used, None)
+        if curves is None:
+            curves = integral_curves([run.values[list(used)] for run in self.columns])
+        self._kept_curves[used] = curves
+        if len(self._kept_curves) > KEPT_CURVES:  # those that were used last are kept
+            del self._kept_curves[next(iter(self._kept_curves))]
+        here = np.ascontiguousarray(self.intervals.means(curves, self._weights(clock)).T)
         run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
         later, earlier = (
-            grid.means_of_one(self._base_curve(), run_delay + shift, clock.lag_s)
+            self.intervals.means_of_one(self._base_curve, run_delay + shift, clock.lag_s)
             for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S)
         )
         base, motion, switching, spread = here[:HEAD_ROWS]
         slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
         bend = (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
         scale = np.array([self.layout.unit(k) for k in chosen])
-        frame = self._rows()
+        runs: list[slice] = []
+        stretches: list[slice] = []
+        bins = [run.bins for run in self.columns]
+        for b in bins:
+            first = runs[-1].stop if runs else 0
+            runs.append(slice(first, first + len(b.measured_w)))
+            ends = [*(first + b.starts[1:]), runs[-1].stop]
+            stretches += [slice(int(first + start), int(end)) for start, end in zip(b.starts, ends, strict=True)]
+        low, high, y = (np.concatenate([getattr(b, name) for b in bins]) for name in ("low_s", "high_s", "measured_w"))
         return Design(
             self.layout,
-            frame.y,
+            y,
             base,
-            frame.duration_s,
-            frame.time_s,
+            high - low,
+            0.5 * (high + low),
             np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
             here[HEAD_ROWS + q :] * scale[:, None],
             np.vstack([np.ones_like(base), base, motion, slope, bend]),
-            runs=frame.runs,
-            stretches=frame.stretches,
+            runs=tuple(runs),
+            stretches=tuple(stretches),
             names=tuple(r.run for r in self.runs),
         )
-
-    def _rows(self) -> Frame:
-        if self._frame is None:
-            self._frame = Frame.of([run.bins for run in self.columns])
-        return self._frame
-
-    def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
-        """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
-        root = self._root or self
-        finite = [np.nan_to_num(np.asarray(rows, dtype=float)) for rows in raw]
-        even = [grid.on(rows) for grid, rows in zip(root._grids(), finite, strict=True)]
-        return np.ascontiguousarray(root._intervals().means(integral_curves(even), root._weights(clock)).T)
-
-    def _grids(self) -> list[EvenGrid]:
-        if self._even is None:
-            self._even = [EvenGrid.of(run) for run in self.runs]
-        return self._even
-
-    def _intervals(self) -> Intervals:
-        if self._grid is None:
-            self._grid = intervals_of(self.columns)
-        return self._grid
-
-    def _base_curve(self) -> Array:
-        """Integral curve of the base model, shape (2, edges, 1)."""
-        if self._kept_base is None:
-            self._kept_base = integral_curves([run.values[:1] for run in self.columns])
-        return self._kept_base
-
-    def _curves(self, rows: tuple[int, ...]) -> Array:
-        """Integral curves of some columns; those that were used last are kept."""
-        found = self._kept_curves.pop(rows, None)
-        if found is None:
-            found = integral_curves([run.values[list(rows)] for run in self.columns])
-        self._kept_curves[rows] = found
-        if len(self._kept_curves) > KEPT_CURVES:
-            del self._kept_curves[next(iter(self._kept_curves))]
-        return found
-
-    def _weights(self, clock: Clock) -> Weights:
-        """Weights of a clock; those of the last one are kept."""
-        if self._kept_weights is None or self._kept_weights[0] != clock:
-            delays = clock.delay_s + np.asarray(clock.run_delay_s)
-            self._kept_weights = (clock, self._intervals().weights(delays, clock.lag_s))
-        return self._kept_weights[1]
 
 
 def switch_jumps(run: RunData) -> Array:
@@ -283,24 +228,6 @@ def switch_jumps(run: RunData) -> Array:
     out[1:] += np.maximum(jump, 0.0)
     out[:-1] += np.maximum(-jump, 0.0)
     return out
-
-
-def _speed_spread(run: RunData, speed: Array) -> Array:
-    """Variance of the speed inside each row when it changes evenly [m2/s2]: a row holds the power of its mean speed,
-    but the mean of a curved power is more (Jensen)."""
-    step = np.diff(speed)
-    inside = 0.5 * (np.pad(step, (1, 0), mode="edge") + np.pad(step, (0, 1), mode="edge"))
-    return np.asarray(inside**2 / 12.0)
-
-
-def analysis_step(runs: Sequence[RunData], period_s: float) -> float:
-    """Typical length of an analysis interval [s]."""
-    steps = []
-    for run in runs:
-        times = run.time_s if run.fresh is None else run.time_s[run.fresh]
-        step = float(np.median(np.diff(times)))
-        steps.append(step * max(1, round(period_s / step)))
-    return float(np.median(steps))
 
 
 def make_source(
@@ -326,11 +253,16 @@ def make_source(
     columns: list[RunColumns] = []
     for run, b in zip(runs, bins, strict=True):
         zero = np.zeros_like(run.base_w)
-        speed = np.abs(run.covariates.get("speed_m_s", zero))
-        motion = np.nan_to_num(speed)
-        rows = [run.base_w, motion, switch_jumps(run), _speed_spread(run, motion)]
+        motion = np.nan_to_num(np.abs(run.covariates.get("speed_m_s", zero)))
+        # variance of the speed inside each row when it changes evenly [m2/s2]: a row holds the power of its mean
+        # speed, but the mean of a curved power is more (Jensen)
+        step = np.diff(motion)
+        inside = 0.5 * (np.pad(step, (1, 0), mode="edge") + np.pad(step, (0, 1), mode="edge"))
+        rows = [run.base_w, motion, switch_jumps(run), inside**2 / 12.0]
         rows += [run.gradient.get(name, zero) for name in layout.parameters]
-        rows += [_raw_column(run, c) for c in layout.columns]
+        for column in layout.columns:
+            mixed = (w * run.columns.get(name, zero) for name, w in column.mix)
+            rows.append(sum(mixed, start=zero) if column.mix else run.columns.get(column.name, zero))
         columns.append(RunColumns.of(run, b, rows))
     # a unit of the random "motion gain" is the mean measured power
     moving = np.concatenate([c.values[1] for c in columns])
@@ -339,26 +271,15 @@ def make_source(
     for c in columns:
         c.values[1] *= layout.mean_power_w / level if level > 0 else 0.0
         c.values[3] *= layout.mean_power_w / square if square > 0 else 0.0
-    clock = like.clock.in_all(len(runs)) if like else Clock.as_logged(len(runs))
-    source = Source(tuple(runs), columns, _common_covariates(runs), layout, clock, kept=kept)
-    if like is None and settings.align:
-        source.clock = find_clock(columns, layout.step_s).in_all(len(runs))
-        source.aligned = True
-    return source
-
-
-def _raw_column(run: RunData, column: Column) -> Array:
-    zero = np.zeros_like(run.base_w)
-    if not column.mix:
-        return run.columns.get(column.name, zero)
-    return np.asarray(sum((w * run.columns.get(name, zero) for name, w in column.mix), start=zero))
-
-
-def _common_covariates(runs: Sequence[RunData]) -> tuple[str, ...]:
-    names = set(runs[0].covariates)
-    for run in runs[1:]:
-        names &= set(run.covariates)
-    return tuple(n for n in runs[0].covariates if n in names)
+    clock, aligned = Clock.as_logged(len(runs)), like is None and settings.align
+    if like is not None:
+        clock = like.clock.in_all(len(runs))
+    elif aligned:
+        delay_s, lag_s = find_clock(columns, layout.step_s)
+        clock = replace(clock, delay_s=delay_s, lag_s=lag_s)
+    covariates = tuple(n for n in runs[0].covariates if all(n in run.covariates for run in runs))
+    constraints = Constraints.of(layout, candidates, settings)
+    return Source(tuple(runs), columns, covariates, layout, constraints, clock, aligned, kept)
 
 
 def _layout(
@@ -381,7 +302,10 @@ def _layout(
             mean = total / sum(float(np.sum(r.dt_s)) for r in runs)
             if np.isfinite(mean) and mean > 1e-12 * mean_power:
                 columns.append(Column(number, position, name, mean))
-    sd = np.array(
-        [*(prior_sd.get(n, DEFAULT_PRIOR_SD) for n in parameters), CLOCK_SD_S, CLOCK_SD_S2, CURVATURE_SD, SWITCH_SD]
-    )
-    return Layout(parameters, sd, tuple(columns), mean_power, analysis_step(runs, settings.period_s))
+    nuisances = (CLOCK_SD_S, CLOCK_SD_S2, CURVATURE_SD, SWITCH_SD)
+    sd = np.array([*(prior_sd.get(n, DEFAULT_PRIOR_SD) for n in parameters), *nuisances])
+    steps = []  # typical length of an analysis interval of each run [s]
+    for run in runs:
+        step = float(np.median(np.diff(run.time_s if run.fresh is None else run.time_s[run.fresh])))
+        steps.append(step * max(1, round(settings.period_s / step)))
+    return Layout(parameters, sd, tuple(columns), mean_power, float(np.median(steps)))

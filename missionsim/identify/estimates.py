@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from missionsim.identify.data import Candidate
-from missionsim.identify.evidence import Evidence, cause_is_constant
+from missionsim.identify.evidence import cause_is_constant
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.forward import Choice
-from missionsim.identify.gram import Constraints, Gram, all_sets, set_gains, single_gains
+from missionsim.identify.gram import Gram, all_sets, set_gains, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.residual import ramps
 from missionsim.identify.settings import (
@@ -24,9 +23,9 @@ from missionsim.identify.settings import (
     RIVAL_PART,
     RUN_LEVEL,
     SAME_COLUMN,
-    Settings,
 )
-from missionsim.physics import Array
+
+Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -39,51 +38,38 @@ class Pair:
     separation_nats: float
 
 
-def rivals(
-    model: Model, effect: int, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
-) -> tuple[str, ...]:
+def rivals(model: Model, effect: int) -> tuple[str, ...]:
     """Effects that could stand in the place of `effect` (a candidate number) in the model.
 
     A rival replaces all columns of the effect, alone or (at a price) with one further effect. Forms are never
     exact, so a rival is kept also when it loses only a small part of the effect's own gain.
+
+    So is an effect of the same covariate whose power is proportional to that of one of them away from ramps: at one
+    cruise speed v, v2 and v3 are the same column, and what then prefers one of them is noise.
     """
-    full = _close_ones(model.gram, model, effect, constraints, candidates, settings)
-    ordered = sorted(full, key=lambda o: full[o])
-    ordered += [
-        o for o in _proportional(model, [effect, *ordered], constraints, candidates) if o not in (effect, *ordered)
-    ]
-    return tuple(candidates[o].effect for o in ordered)
-
-
-def _proportional(
-    model: Model, named: Sequence[int], constraints: Constraints, candidates: Sequence[Candidate]
-) -> list[int]:
-    """Effects of the same covariate whose power is proportional to that of a named one away from ramps.
-
-    At one cruise speed v, v2 and v3 are the same column; what then prefers one of them is noise.
-    """
+    constraints, candidates = model.constraints, model.constraints.candidates
+    close = _close_ones(model, effect)
+    named = [effect, *sorted(close, key=lambda o: close[o])]
     covariates = {candidates[n].covariate for n in named if candidates[n].covariate}
     rows = model.design.phi[:, ~ramps(model)]
     size = np.linalg.norm(rows, axis=1)
     found: list[int] = []
     for a in (k for k in range(len(rows)) if constraints.effect[k] in named):
         for b in range(len(rows)):
-            other = int(constraints.effect[b])
-            if other in named or other in found or candidates[other].covariate not in covariates:
+            other = constraints.of_column(b)
+            if constraints.effect[b] in (*named, *found) or other.covariate not in covariates:
                 continue
-            if candidates[other].covariate != candidates[int(constraints.effect[a])].covariate or constraints.joint[b]:
+            if other.covariate != constraints.of_column(a).covariate or constraints.joint[b]:
                 continue
             if rows[a] @ rows[b] > SAME_COLUMN * size[a] * size[b] > 0:
-                found.append(other)
-    return found
+                found.append(int(constraints.effect[b]))
+    return tuple(candidates[o].effect for o in (*named[1:], *found))
 
 
-def _close_ones(
-    gram: Gram, model: Model, effect: int, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
-) -> dict[int, float]:
+def _close_ones(model: Model, effect: int) -> dict[int, float]:
     """Rivals and how many nats they are behind."""
-    own = [k for k in model.chosen if constraints.effect[k] == effect]
-    rest = [k for k in model.chosen if constraints.effect[k] != effect]
+    gram, constraints = model.gram, model.constraints
+    own, rest = constraints.split(model.chosen, effect)
     base = gram.gain(rest)
     gain = gram.gain(model.chosen) - base
     gain -= float(constraints.grid_nats[own[0]])
@@ -102,13 +88,14 @@ def _close_ones(
             found[other], columns[other] = float(value), k
     # triples of columns are the most that are searched in full
     if len(own) == 1 and len(rest) <= 1:
-        for other, value in _pairs_without(gram, constraints, rest, effect, settings, own_beside).items():
+        for other, value in _pairs_without(model, rest, effect, own_beside).items():
             found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS)
     close: dict[int, float] = {}
+    settings, covariate = constraints.settings, constraints.candidates[effect].covariate
     for other, value in found.items():
-        same = candidates[other].covariate == candidates[effect].covariate
+        same = constraints.candidates[other].covariate == covariate
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
-        if candidates[other].covariate == "slope_rad" and not same:
+        if constraints.candidates[other].covariate == "slope_rad" and not same:
             loss *= NOISY_SLOPE
         if len(own) == 1 and other in columns and not same and _lead_where_apart(gram, rest, own[0], columns[other]):
             loss = 0.0
@@ -137,14 +124,10 @@ def _lead_where_apart(gram: Gram, rest: Sequence[int], own: int, other: int) -> 
 
 
 def _pairs_without(
-    gram: Gram,
-    constraints: Constraints,
-    rest: Sequence[int],
-    effect: int,
-    settings: Settings,
-    own_beside: Callable[[Sequence[int]], bool],
+    model: Model, rest: Sequence[int], effect: int, own_beside: Callable[[Sequence[int]], bool]
 ) -> dict[int, float]:
     """Best total gain of rest plus two effects in place of `effect`, credited to those that are not negligible."""
+    gram, constraints = model.gram, model.constraints
     sets = all_sets(constraints, 2 + len(rest))
     keep = np.all(constraints.effect[sets] != effect, axis=1)
     for k in rest:
@@ -162,7 +145,7 @@ def _pairs_without(
         if own_beside(some):
             continue
         share = dict(zip(some, np.abs(gram.coefficients(some)[0]), strict=True))
-        new = [k for k in share if k not in rest and share[k] > settings.min_share]
+        new = [k for k in share if k not in rest and share[k] > constraints.settings.min_share]
         for k in new:
             # the smaller of two that explain it together is an aid, not the explanation
             if singles[k] >= 0.5 * max(singles[j] for j in new):
@@ -171,13 +154,13 @@ def _pairs_without(
     return out
 
 
-def pairs(model: Model, constraints: Constraints, candidates: Sequence[Candidate]) -> tuple[Pair, ...]:
+def pairs(model: Model) -> tuple[Pair, ...]:
     """Correlation and separation of each effect in the model from every other effect.
 
     Columns are whitened, with base parameters, run effects and the rest of the model projected out; r is 0 where
     the sign of the coefficient forbids the imitation.
     """
-    gram = model.gram
+    gram, constraints = model.gram, model.constraints
     out: list[Pair] = []
     for a in model.chosen:
         rest = [k for k in model.chosen if k != a]
@@ -195,22 +178,15 @@ def pairs(model: Model, constraints: Constraints, candidates: Sequence[Candidate
             if abs(r) > abs(best.get(other, -1e-9)) or other not in best:
                 best[other] = r
         strength = 0.5 * value**2 * float(left[1 + a, 1 + a])
-        name = candidates[int(constraints.effect[a])].effect
-        out += [Pair(name, candidates[o].effect, r, strength * (1 - min(1.0, r * r))) for o, r in best.items()]
+        name = constraints.of_column(a).effect
+        out += [
+            Pair(name, constraints.candidates[o].effect, r, strength * (1 - min(1.0, r * r))) for o, r in best.items()
+        ]
     return tuple(out)
 
 
-Z95 = 1.959963984540054
-
-
 def estimated(
-    choice: Choice,
-    candidates: Sequence[Candidate],
-    constraints: Constraints,
-    settings: Settings,
-    shapes: Mapping[str, Mapping[str, float]],
-    alike: Sequence[Pair],
-    unnamed: set[str],
+    choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Sequence[Pair], unnamed: Collection[str]
 ) -> tuple[Finding, ...]:
     """Every effect in the model but the `unnamed` ones, the one with the largest gain first.
 
@@ -221,27 +197,33 @@ def estimated(
     alike : sequence of Pair
         How well each effect is told from others.
     """
-    model = choice.model
-    on_ramps = _on_ramps(model)
+    model, constraints = choice.model, choice.model.constraints
     value, _ = model.estimate(model.chosen)
     sizes = dict(zip(model.chosen, value[len(model.design.layout.parameters) :].tolist(), strict=True))
-    absorbed = absorption(model)
+    # part of each column that hides in the recalibration of the base model
+    plain = np.maximum(np.diag(model.gram.per_run.sum(axis=0))[1 + model.gram.q :], 1e-300)
+    absorbed = 1.0 - np.clip(np.diag(model.gram.full)[1:] / plain, 0.0, 1.0)
     out: list[Finding] = []
-    for number in dict.fromkeys(int(constraints.effect[k]) for k in model.chosen):
-        candidate = candidates[number]
+    for number in constraints.numbers(model.chosen):
+        candidate = constraints.candidates[number]
         if candidate.effect in unnamed:
             continue
-        own = [k for k in model.chosen if constraints.effect[k] == number]
-        parameters, reach = _sized(choice, candidate, own, sizes, on_ramps, settings)
+        own, _ = constraints.split(model.chosen, number)
+        evidence = [choice.evidence[k] for k in own]
+        parameters, reach = _sized(choice, own, sizes)
         largest = max(p.value for p in parameters.values())
         much = f"{largest:.2g} times what the robot's mass asks for; either that mass is wrong or something else acts"
-        parameters |= _shape_estimates(shapes.get(candidate.effect, {}))
-        evidence = [choice.evidence[k] for k in own]
+        shape = shapes.get(candidate.effect, {})
+        for name in (n for n in shape if not n.endswith((".low", ".high"))):
+            unit = "s" if name.startswith("tau") else ("degC" if name.lower().startswith("t0") else "1")
+            low, high = (shape.get(f"{name}.{end}", shape[name]) for end in ("low", "high"))
+            parameters[name] = Estimate(shape[name], low, high, unit)
         share = sum(sizes[k] for k in own)
-        similar = _similar(choice, number, constraints, candidates, settings, sizes)
+        similar = _similar(choice, number, sizes)
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
+        repeated = max(evidence, key=lambda e: e.gain).p_runs < RUN_LEVEL
         out.append(
             Finding(
                 effect=candidate.effect,
@@ -252,7 +234,7 @@ def estimated(
                 p_value=min(e.p_value for e in evidence),
                 p_runs=min((e.p_runs for e in evidence), default=float("nan")),
                 gain_nats=max(e.gain for e in evidence),
-                level=_level(evidence),
+                level="identified, repeated across runs" if repeated else "identified",
                 indistinguishable_from=similar,
                 separation_nats=min(among, default=float("nan")),
                 absorbed=float(absorbed[own].min()),
@@ -262,118 +244,61 @@ def estimated(
     return tuple(sorted(out, key=lambda f: -f.gain_nats))
 
 
-def _sized(
-    choice: Choice,
-    candidate: Candidate,
-    own: Sequence[int],
-    sizes: Mapping[int, float],
-    on_ramps: Mapping[int, float],
-    settings: Settings,
-) -> tuple[dict[str, Estimate], float]:
-    """Coefficients of an effect's columns with their intervals, and the half interval of its share of the energy."""
-    layout = choice.model.design.layout
+def _sized(choice: Choice, own: Sequence[int], sizes: Mapping[int, float]) -> tuple[dict[str, Estimate], float]:
+    """Coefficients of an effect's columns with their intervals, and the half interval of its share of the energy.
+
+    The systematic error of a coefficient is that of the form of the effect, of blurred ramps, and of the meter's gain.
+    """
+    model, candidate = choice.model, choice.model.constraints.of_column(own[0])
+    layout, settings, gram = model.design.layout, model.constraints.settings, model.gram
+    edge, base = ramps(model), model.design.base**2
+    usual = float(base[edge].sum() / max(float(base.sum()), 1e-300))
+    # each run has a meter gain of its own, the coefficient their mean
+    gain = model.noise.gain / np.sqrt(len(model.design.runs))
     parameters: dict[str, Estimate] = {}
     share_sd: list[float] = []
     for k in own:
+        # how much more of the column than of the base model's power lies beside ramps, from 0 to 1: where the whole
+        # drive is one ramp, all columns are blurred alike and keep their relations
+        square = model.design.phi[k] ** 2
+        part = float(square[edge].sum() / max(float(square.sum()), 1e-300))
+        on_ramps = max(0.0, part - usual) / max(1.0 - usual, 1e-9)
+        # the more of an effect hides in recalibration, the smaller the part its coefficient rests on, and the larger
+        # what an error of the form does to it; a twin that is wholly hidden has no finite error
+        whole = float(gram.per_run[:, 1 + gram.q + k, 1 + gram.q + k].sum())
+        left = max(float(gram.full[1 + k, 1 + k]), 1e-12 * whole)
+        hidden = settings.form_error * np.sqrt(whole / left) if left > 0 else 0.0
+        systematic = float(np.linalg.norm([settings.systematic, hidden, RAMP_SYSTEMATIC * on_ramps, gain]))
         e, unit = choice.evidence[k], layout.unit(k)
-        form = abs(sizes[k]) * _form_error(choice.model, k, on_ramps[k], settings)
+        form = abs(sizes[k]) * systematic
         share_sd.append(float(np.linalg.norm([e.share_sd, e.shape_sd, form])))
         half = Z95 * float(np.linalg.norm([e.share_sd, sizes[k] * e.unit_shape_sd, form])) * unit
         level = candidate.levels[layout.columns[k].position] if candidate.levels else ""
-        name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
         size = sizes[k] * unit
+        name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
         parameters[name] = Estimate(size, size - half, size + half, candidate.unit)
     return parameters, Z95 * float(np.linalg.norm(share_sd))
 
 
-def _similar(
-    choice: Choice,
-    number: int,
-    constraints: Constraints,
-    candidates: Sequence[Candidate],
-    settings: Settings,
-    sizes: Mapping[int, float],
-) -> tuple[str, ...]:
+def _similar(choice: Choice, number: int, sizes: Mapping[int, float]) -> tuple[str, ...]:
     """Effects that these data cannot tell from one in the model."""
-    model, candidate = choice.model, candidates[number]
-    own = [k for k in model.chosen if constraints.effect[k] == number]
+    model, constraints = choice.model, choice.model.constraints
+    candidate, (own, _) = constraints.candidates[number], constraints.split(model.chosen, number)
     if choice.forward is None:
-        similar = rivals(model, number, constraints, candidates, settings)
+        similar = rivals(model, number)
     else:
-        similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
+        similar = tuple(constraints.candidates[o].effect for o in choice.forward.rivals.get(number, ()))
     loads, watts = candidate.unlogged
     size_w = sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w
     if size_w <= watts:
         similar = (*similar, *(name for name in loads if name != candidate.effect))
     similar = (*similar, *(name for name in candidate.may_be(size_w) if name not in (*similar, candidate.effect)))
-    evidence = choice.evidence[own[0]]
-    if not similar and evidence.p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0], candidates):
-        return _larger(number, model, constraints, candidates, sizes)
+    if not similar and choice.evidence[own[0]].p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0]):
+        # the misfit of the largest effect in the model may differ from run to run
+        total: dict[int, float] = {}
+        for k in model.chosen:
+            other = int(constraints.effect[k])
+            total[other] = total.get(other, 0.0) + abs(sizes[k])
+        most = max(total, key=lambda other: total[other])
+        return () if most == number else (constraints.candidates[most].effect,)
     return similar
-
-
-def _larger(
-    number: int, model: Model, constraints: Constraints, candidates: Sequence[Candidate], sizes: Mapping[int, float]
-) -> tuple[str, ...]:
-    """The largest effect in the model where it is larger than one: its misfit may differ from run to run."""
-    total: dict[int, float] = {}
-    for k in model.chosen:
-        other = int(constraints.effect[k])
-        total[other] = total.get(other, 0.0) + abs(sizes[k])
-    most = max(total, key=lambda other: total[other])
-    return () if most == number else (candidates[most].effect,)
-
-
-def _form_error(model: Model, column: int, on_ramps: float, settings: Settings) -> float:
-    """Relative systematic standard error of a coefficient: form of the effect, blurred ramps, gain of the meter.
-
-    The more of an effect hides in recalibration, the smaller the part its coefficient rests on, and the larger what
-    an error of the form does to it.
-    """
-    q = model.gram.q
-    whole = float(model.gram.per_run[:, 1 + q + column, 1 + q + column].sum())
-    # a twin that is wholly hidden has no finite error
-    left = max(float(model.gram.full[1 + column, 1 + column]), 1e-12 * whole)
-    hidden = settings.form_error * np.sqrt(whole / left) if left > 0 else 0.0
-    # each run has a meter gain of its own, the coefficient their mean
-    gain = model.noise.gain / np.sqrt(len(model.design.runs))
-    return float(np.linalg.norm([settings.systematic, hidden, RAMP_SYSTEMATIC * on_ramps, gain]))
-
-
-def _on_ramps(model: Model) -> dict[int, float]:
-    """How much more of each chosen column than of the base model's power lies beside ramps, from 0 to 1.
-
-    Where the whole drive is one ramp, all columns are blurred alike and keep their relations.
-    """
-    edge = ramps(model)
-    base = model.design.base**2
-    usual = float(base[edge].sum() / max(float(base.sum()), 1e-300))
-    out = {}
-    for k in model.chosen:
-        square = model.design.phi[k] ** 2
-        part = float(square[edge].sum() / max(float(square.sum()), 1e-300))
-        out[k] = max(0.0, part - usual) / max(1.0 - usual, 1e-9)
-    return out
-
-
-def absorption(model: Model) -> Array:
-    """Part of each column that hides in the recalibration of the base model, shape (p,)."""
-    plain = np.maximum(np.diag(model.gram.per_run.sum(axis=0))[1 + model.gram.q :], 1e-300)
-    return np.asarray(1.0 - np.clip(np.diag(model.gram.full)[1:] / plain, 0.0, 1.0))
-
-
-def _shape_estimates(shape: Mapping[str, float]) -> dict[str, Estimate]:
-    out = {}
-    for name, value in shape.items():
-        if name.endswith((".low", ".high")):
-            continue
-        unit = "s" if name.startswith("tau") else ("degC" if name.lower().startswith("t0") else "1")
-        out[name] = Estimate(value, shape.get(f"{name}.low", value), shape.get(f"{name}.high", value), unit)
-    return out
-
-
-def _level(evidence: Sequence[Evidence]) -> str:
-    best = max(evidence, key=lambda e: e.gain)
-    if np.isfinite(best.p_runs) and best.p_runs < RUN_LEVEL:
-        return "identified, repeated across runs"
-    return "identified"

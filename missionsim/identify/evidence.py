@@ -8,19 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Candidate
-from missionsim.identify.gram import Constraints, Gram, project, single_gains
+from missionsim.identify.data import Constraints
+from missionsim.identify.gram import Gram, project, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.settings import (
-    BETWEEN_PART,
-    ONE_RUN_NATS,
-    ONE_RUN_PART,
-    POWER_Z,
-    SEVERAL_RUNS,
-    WORSE_ENERGY,
-    Settings,
-)
+from missionsim.identify.settings import BETWEEN_PART, ONE_RUN_NATS, ONE_RUN_PART, POWER_Z, SEVERAL_RUNS, WORSE_ENERGY
 from missionsim.physics import Array
 
 Numbers = NDArray[np.intp]
@@ -67,31 +59,7 @@ def chance_of(gain: float, freedom: int = 1) -> float:
     return float(chdtrc(freedom, 2.0 * max(gain, 0.0)))
 
 
-def evidence_of(model: Model, column: int, constraints: Constraints, settings: Settings) -> Evidence:
-    """Evidence for `column`, which is in `model`, given the rest of the model; no gate is asked yet."""
-    others = [c for c in model.chosen if c != column]
-    gain = float(single_gains(model.gram, constraints, others)[column])
-    share, sd, p_robust, p_runs = _robust(model, column, others, settings)
-    return Evidence(column=column, gain=gain, share=share, share_sd=sd, p_robust=p_robust, p_runs=p_runs, passed={})
-
-
-def at_a_glance(model: Model, column: int, gain: float) -> Evidence:
-    """Evidence for a candidate too small to matter, without a refit of the noise."""
-    rest = model.gram.conditional(model.chosen)
-    share = float(rest[0, 1 + column] / rest[1 + column, 1 + column])
-    sd = float(np.sqrt(1.0 / rest[1 + column, 1 + column]))
-    return Evidence(
-        column=column,
-        gain=gain,
-        share=share,
-        share_sd=sd,
-        p_robust=chance_of(gain),
-        p_runs=float("nan"),
-        passed={"practical": False},
-    )
-
-
-def tails(constraints: Constraints, settings: Settings, beside: bool) -> Array:
+def tails(constraints: Constraints, beside: bool) -> Array:
     """Probability of a false alarm that each column is allowed, in one tail, shape (p,).
 
     The level is shared by all effects (Bonferroni). Where physics gives the sign, only that tail can alarm; not so
@@ -101,7 +69,7 @@ def tails(constraints: Constraints, settings: Settings, beside: bool) -> Array:
     effects = max(1, len(np.unique(constraints.effect)))
     number = np.bincount(constraints.effect)[constraints.effect]
     sides = np.where((constraints.sign == 0) | beside, 2.0, 1.0)
-    return np.asarray(settings.alpha / effects / np.sqrt(number) / sides)
+    return np.asarray(constraints.settings.alpha / effects / np.sqrt(number) / sides)
 
 
 def nats_needed(tail: float) -> float:
@@ -124,36 +92,38 @@ def block_numbers(model: Model, length_s: float) -> Numbers:
     return out
 
 
-def _robust(model: Model, column: int, others: Sequence[int], settings: Settings) -> tuple[float, float, float, float]:
-    """Share, cluster-robust standard error (CRV3) and p-values by blocks and by runs.
+def evidence_of(model: Model, column: int) -> Evidence:
+    """Evidence for `column`, which is in `model`, given the rest of the model; no gate is asked yet.
 
-    The priors' pseudo-rows enter as known variance, not as jackknife blocks: left out one at a time they would count
-    as if the prior could be wrong by all of itself.
+    Its share has a cluster-robust standard error (CRV3). The priors' pseudo-rows enter as known variance, not as
+    jackknife blocks: left out one at a time they would count as if the prior could be wrong by all of itself.
     """
     from scipy.special import stdtr
 
     design = model.design
+    others = [c for c in model.chosen if c != column]
+    gain = float(single_gains(model.gram, model.constraints, others)[column])
     rows = np.vstack([design.residual, design.phi[column]])
     p = project(design, model.noise, rows, others)
     x, x_pseudo = p.rows[1], p.pseudo[1]
     info = float(x @ x + x_pseudo @ x_pseudo)
-    if info <= 0:
-        return 0.0, np.inf, 1.0, float("nan")
-    share = float(x @ p.rows[0] + x_pseudo @ p.pseudo[0]) / info
-    e = p.rows[0] - share * x
-    known = float(x_pseudo @ x_pseudo)
-    # slow logs need longer blocks: ten rows at least, else neighbours are not independent
-    blocks = block_numbers(model, max(settings.block_s, 10.0 * design.layout.step_s))
-    block_sd, leverage, inflation = _jackknife(x, e, blocks, info, known)
-    block_p = _chance_of_jackknife(share / max(block_sd, 1e-300), leverage, inflation, known / info)
-    run_p = float("nan")
-    if len(design.runs) >= SEVERAL_RUNS:
-        # runs differ by more than noise, the leading one perhaps by most: Satterthwaite's t hardly ever alarms there
-        run_sd, leverage, _ = _jackknife(x, e, design.run_index(), info, known)
-        freedom = max(1.5, float(leverage.sum() ** 2 / (leverage @ leverage)) - 1.0)
-        run_p = float(2.0 * stdtr(freedom, -abs(share) / max(run_sd, 1e-300)))
-    # never surer than the noise model itself: few blocks can scatter little by chance
-    return share, max(block_sd, float(np.sqrt(1.0 / info))), block_p, run_p
+    share, sd, block_p, run_p = 0.0, np.inf, 1.0, float("nan")
+    if info > 0:
+        share = float(x @ p.rows[0] + x_pseudo @ p.pseudo[0]) / info
+        e = p.rows[0] - share * x
+        known = float(x_pseudo @ x_pseudo)
+        # slow logs need longer blocks: ten rows at least, else neighbours are not independent
+        blocks = block_numbers(model, max(model.constraints.settings.block_s, 10.0 * design.layout.step_s))
+        block_sd, leverage, inflation = _jackknife(x, e, blocks, info, known)
+        block_p = _chance_of_jackknife(share / max(block_sd, 1e-300), leverage, inflation, known / info)
+        # never surer than the noise model itself: few blocks can scatter little by chance
+        sd = max(block_sd, float(np.sqrt(1.0 / info)))
+        if len(design.runs) >= SEVERAL_RUNS:
+            # runs differ by more than noise, the leading one perhaps most: Satterthwaite's t hardly ever alarms there
+            run_sd, leverage, _ = _jackknife(x, e, design.run_index(), info, known)
+            freedom = max(1.5, float(leverage.sum() ** 2 / (leverage @ leverage)) - 1.0)
+            run_p = float(2.0 * stdtr(freedom, -abs(share) / max(run_sd, 1e-300)))
+    return Evidence(column=column, gain=gain, share=share, share_sd=sd, p_robust=block_p, p_runs=run_p, passed={})
 
 
 def _jackknife(x: Array, e: Array, cluster: Numbers, info: float, known: float) -> tuple[float, Array, Array]:
@@ -196,9 +166,9 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     return with_it.total < without.total, squares.energy_no_worse(rest, without, model.chosen, with_it, WORSE_ENERGY)
 
 
-def cause_is_constant(model: Model, column: int, candidates: Sequence[Candidate]) -> bool:
+def cause_is_constant(model: Model, column: int) -> bool:
     """Whether what an effect depends on hardly changes within the runs, so that each run is a single observation."""
-    name = candidates[model.design.layout.columns[column].candidate].covariate
+    name = model.constraints.of_column(column).covariate
     values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
     if not values:
         return False
@@ -219,20 +189,17 @@ def rests_on_one_run(model: Model, column: int) -> bool:
     return bool(least < max(ONE_RUN_NATS, ONE_RUN_PART * whole))
 
 
-def smallest_detectable(model: Model, constraints: Constraints, settings: Settings) -> Array:
+def smallest_detectable(model: Model) -> Array:
     """Smallest share of energy of each column that would be found in four of five cases, shape (p,)."""
     from scipy.special import ndtri
 
-    info = np.diag(model.gram.conditional([]))[1:].copy()
-    outside = [k for k in range(model.gram.p) if k not in model.chosen]
-    if model.chosen:
-        info[outside] = np.diag(model.gram.conditional(model.chosen))[1:][outside]
-        # an effect in the model is limited by the others in it, not by itself
-        for k in model.chosen:
-            info[k] = model.gram.conditional([c for c in model.chosen if c != k])[1 + k, 1 + k]
-    needed = POWER_Z - ndtri(tails(constraints, settings, bool(model.chosen)))
+    info = np.diag(model.gram.conditional(model.chosen))[1:].copy()
+    # an effect in the model is limited by the others in it, not by itself
+    for k in model.chosen:
+        info[k] = model.gram.conditional([c for c in model.chosen if c != k])[1 + k, 1 + k]
+    needed = POWER_Z - ndtri(tails(model.constraints, bool(model.chosen)))
     out = np.full(len(info), np.inf)
     # columns that base and runs explain wholly have no limit at all
     usable = info > 1e-8 * np.maximum(np.diag(model.gram.full)[1:], 1e-300)
-    out[usable] = np.maximum(needed[usable] / np.sqrt(info[usable]), settings.min_share)
+    out[usable] = np.maximum(needed[usable] / np.sqrt(info[usable]), model.constraints.settings.min_share)
     return out

@@ -101,14 +101,14 @@ class Forward:
             passed=dict(trial.passed),
         )
 
-    def stands(self, model: Model, settings: Settings) -> bool:
+    def stands(self, model: Model) -> bool:
         """Whether it stands against a model of the finer search: left-out runs err far less than all do with that one,
         or it holds the same effects and others, all at the level of that search."""
         squares = LeastSquares.of(model.design)
         fitted = squares.errors(squares.index(model.chosen), model.estimate(model.chosen)[0]).total
         p_values = {number: t.p_value for number, t in self.trials.items() if set(t.columns) <= set(self.chosen)}
         more = {model.source.layout.columns[k].candidate for k in model.chosen} < set(p_values)
-        sure = more and max(p_values.values()) < settings.alpha / len(self.trials)
+        sure = more and max(p_values.values()) < model.constraints.settings.alpha / len(self.trials)
         return sure or self.squares.leave_out(self.chosen).total < SWALLOWED * fitted
 
     def smallest_detectable(self, columns: int, settings: Settings) -> Array:
@@ -150,14 +150,7 @@ def far_from_right(source: Source) -> LeastSquares | None:
     return squares if np.median(error) > ROUGH * mean_w and often else None
 
 
-def forward(
-    source: Source,
-    candidates: Sequence[Candidate],
-    settings: Settings,
-    given: Sequence[str] | None = None,
-    *,
-    near: bool = False,
-) -> Forward | None:
+def forward(source: Source, given: Sequence[str] | None = None, *, near: bool = False) -> Forward | None:
     """Select effects by the prediction of left-out runs, or fit given ones.
 
     `near`: whether a base that is near enough is no reason to leave it.
@@ -172,18 +165,17 @@ def forward(
     ValueError
         If a given effect is unknown or has no column that acts in these runs.
     """
-    squares = LeastSquares.of(source.design(Clock.as_logged(len(source.runs)))) if near else far_from_right(source)
+    clock = Clock.as_logged(len(source.runs))
+    squares = LeastSquares.of(source.design(clock)) if near else far_from_right(source)
     if squares is None:
         return None
-    still = Clock.as_logged(len(source.runs))
-    search = _Search(squares, source.layout, candidates, settings)
-    clock, chosen = still, search.chosen(given)
-    if settings.align:
-        clock = sober_clock(source, chosen)
-        # at another clock every column is another one: what was chosen at the first need not stand
-        if clock != still:
-            search = replace(search, squares=LeastSquares.of(source.design(clock)))
-            chosen = search.chosen(given)
+    search = _Search(squares, source.layout, source.constraints.candidates, source.constraints.settings)
+    chosen = search.chosen(given)
+    # at another clock every column is another one: what was chosen at the first need not stand
+    if search.settings.align and (found := sober_clock(source, chosen)) != clock:
+        clock = found
+        search = replace(search, squares=LeastSquares.of(source.design(clock)))
+        chosen = search.chosen(given)
     trials: dict[int, Trial] = {}
     rivals: dict[int, tuple[int, ...]] = {}
     inside = {search.effect_of(k) for k in chosen}
@@ -193,10 +185,10 @@ def forward(
         rest = [k for k in chosen if k not in own]
         if own:  # a given effect keeps all its columns, whatever their signs
             trials[number] = trial = search.measured(number, own, rest)
-            if search.signs_hold(trial):
+            if np.all(search.candidates[number].sign * trial.shares >= 0.0):
                 rivals[number] = search.rivals(trial, rest, inside)
-        elif found := [t for o in options if (t := search.tried(number, o, rest)) is not None]:
-            trials[number] = min(found, key=lambda t: t.left.total)
+        elif tried := [t for o in options if (t := search.tried(number, o, rest)) is not None]:
+            trials[number] = min(tried, key=lambda t: t.left.total)
     return Forward(chosen, clock, search.squares, trials, rivals)
 
 
@@ -221,10 +213,18 @@ class _Search:
                 yield number, [own] if candidate.levels else [[k] for k in own]
 
     def chosen(self, given: Sequence[str] | None) -> tuple[int, ...]:
-        """Columns of the effects that pass every gate, or of the given ones."""
-        if given is not None:
-            return self._given(given)
+        """Columns of the effects that pass every gate, or of the given ones: all levels of a label that act, of a grid
+        the one that predicts best."""
         chosen: tuple[int, ...] = ()
+        for name in given or ():
+            own = [(number, o) for number, o in self.options() if self.candidates[number].effect == name]
+            if not own:
+                raise ValueError(f"effect {name} has no column that acts in these runs")
+            number, options = own[0]
+            found = [t for o in options if (t := self.tried(number, o, chosen)) is not None]
+            chosen = (*chosen, *(min(found, key=lambda t: t.left.total).columns if found else options[0]))
+        if given is not None:
+            return chosen
         for _ in range(self.settings.max_effects):
             inside = {self.effect_of(k) for k in chosen}
             tried = [
@@ -253,18 +253,6 @@ class _Search:
     def _logged(self, columns: Sequence[int]) -> set[int]:
         """Effects among them that pass on watts of another meter."""
         return {n for n in map(self.effect_of, columns) if self.candidates[n].effect.startswith(LOGGED)}
-
-    def _given(self, effects: Sequence[str]) -> tuple[int, ...]:
-        """Columns of given effects: all levels of a label that act, of a grid the one that predicts best."""
-        chosen: tuple[int, ...] = ()
-        for name in effects:
-            own = [(number, o) for number, o in self.options() if self.candidates[number].effect == name]
-            if not own:
-                raise ValueError(f"effect {name} has no column that acts in these runs")
-            number, options = own[0]
-            found = [t for o in options if (t := self.tried(number, o, chosen)) is not None]
-            chosen = (*chosen, *(min(found, key=lambda t: t.left.total).columns if found else options[0]))
-        return chosen
 
     def _kept(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
         """The set without effects that a later one has made needless (backward elimination)."""
@@ -300,10 +288,6 @@ class _Search:
             own.pop(int(np.argmin(wrong)))
         return None
 
-    def signs_hold(self, trial: Trial) -> bool:
-        """Whether every coefficient has the sign that physics asks for."""
-        return bool(np.all(self.candidates[trial.candidate].sign * trial.shares >= 0.0))
-
     def measured(self, number: int, own: Sequence[int], beside: Sequence[int]) -> Trial:
         """What speaks for an effect beside others, and the answer of every gate."""
         from scipy.special import fdtrc
@@ -320,7 +304,14 @@ class _Search:
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = bool(self._logged(own))
-        effects = sum(self._of_family(n) for n in {column.candidate for column in layout.columns})
+        # what a base parameter without prior imitates cannot be found at all
+        limit, twins = self.settings.recalibration_limit, map(self._twin, {c.candidate for c in layout.columns})
+        effects = sum(q is None or limit * squares.prior_sd[q] < 1.0 for q in twins)
+        q, beyond = self._twin(number), True
+        if q is not None and (parameter := float(squares.whole[1 + q, 1 + q])) > 0.0:
+            # a shift of the base parameter by more than its prior allows, and no more off than there is
+            shift = float(shares[0]) * float(squares.whole[1 + q, 1 + squares.q + own[0]]) / parameter
+            beyond = bool(shift > -1.0 and abs(shift) > limit * squares.prior_sd[q])
         part = (before.total - after.total) / max(before.total, 1e-300)
         family = FAMILY_LEVEL if folds == runs and part > LEAST_FALL else STRICT_LEVEL
         passed = {
@@ -331,7 +322,7 @@ class _Search:
             "energy": squares.energy_no_worse(beside, before, chosen, after, WORSE_ENERGY) > WORSE_ENERGY_LEVEL,
             "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
-            "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),
+            "beyond recalibration": beyond,
         }
         if logged:
             # far from a watt for each watt logged it is no loss on the way, but something that goes along with it
@@ -344,25 +335,10 @@ class _Search:
                 p_value, passed["robust"] = by_chance, True
         return Trial(number, tuple(own), after, shares, own_covariance, p_value, passed)
 
-    def _of_family(self, number: int) -> bool:
-        """Whether an effect can be found at all: what a base parameter without prior imitates cannot."""
+    def _twin(self, number: int) -> int | None:
+        """Place of the base parameter that imitates an effect."""
         twin = self.candidates[number].prior
-        if twin is None or twin not in self.layout.parameters:
-            return True
-        return bool(self.settings.recalibration_limit * self.squares.prior_sd[self.layout.parameters.index(twin)] < 1.0)
-
-    def _beyond_recalibration(self, number: int, column: int, share: float) -> bool:
-        """Whether an effect that a base parameter imitates is more than a shift of it that its prior allows, and takes
-        no more off than there is."""
-        squares, twin = self.squares, self.candidates[number].prior
-        if twin is None or twin not in self.layout.parameters:
-            return True
-        q = self.layout.parameters.index(twin)
-        size = float(squares.whole[1 + q, 1 + q])
-        if size <= 0.0:
-            return True
-        shift = share * float(squares.whole[1 + q, 1 + squares.q + column]) / size
-        return bool(shift > -1.0 and abs(shift) > self.settings.recalibration_limit * squares.prior_sd[q])
+        return self.layout.parameters.index(twin) if twin in self.layout.parameters else None
 
     def rivals(self, trial: Trial, rest: Sequence[int], inside: set[int]) -> tuple[int, ...]:
         """Effects that predict left-out runs as well in the place of one; forms that hold it as a special case are
@@ -380,15 +356,14 @@ class _Search:
                     continue
                 behind = other.left.square - trial.left.square
                 error = float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
-                if behind.sum() < UNCLEAR * error and not self._encompasses(trial, [*rest, *option]):
+                if not behind.sum() < UNCLEAR * error:
+                    continue
+                # whether it explains what the other in its place leaves over (Davidson and MacKinnon 1981)
+                again = self.tried(trial.candidate, trial.columns, [*rest, *option])
+                if again is None or not again.passed["runs"] or not again.passed["robust"]:
                     found.append(number)
                     break
         return tuple(found)
-
-    def _encompasses(self, trial: Trial, beside: Sequence[int]) -> bool:
-        """Whether an effect explains what another in its place leaves over (Davidson and MacKinnon 1981)."""
-        again = self.tried(trial.candidate, trial.columns, beside)
-        return again is not None and again.passed["runs"] and again.passed["robust"]
 
     def _nested(self, one: Sequence[int], other: Sequence[int]) -> bool:
         """Whether one set of columns lies in the span of the other."""

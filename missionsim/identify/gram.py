@@ -5,7 +5,7 @@ Gains of sets of columns with their signs respected, projections, random effects
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -13,10 +13,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Candidate, Layout
+from missionsim.identify.data import Constraints
 from missionsim.identify.design import Design
-from missionsim.identify.noise import Noise, Packed, Shape, packed
-from missionsim.identify.settings import MOST_TRIPLES, SHAPE_NATS, SHARE_PRIOR
+from missionsim.identify.noise import Noise, Packed, Shape
+from missionsim.identify.settings import MOST_TRIPLES, SHARE_PRIOR
 from missionsim.physics import Array
 
 RANDOM_COUNT = 5
@@ -42,7 +42,7 @@ class Blocks:
         stack = np.vstack([rows, design.gradient, design.phi[list(chosen)], own])
         q = len(design.gradient)
         index = np.append(np.arange(len(stack)), [len(rows) + q + at for at in CLOCK_IN_GRADIENT])
-        return cls(packed(design, noise, stack), index)
+        return cls(Packed.of(stack, noise.scale, noise.weight, design.stretches, design.runs), index)
 
     def at(self, shape: Shape) -> Array:
         """Gram matrix of each run for innovations of unit variance, shape (runs, k, k)."""
@@ -102,18 +102,14 @@ class Gram:
         """Number of candidate columns."""
         return int(self.per_run.shape[1]) - 1 - self.q
 
-    def eliminated(self, total: Array) -> Array:
-        """[y, Phi] after the base parameters are integrated out under their prior, shape (1+p, 1+p)."""
-        q = self.q
+    @cached_property
+    def full(self) -> Array:
+        """[y, Phi] from all runs, base parameters integrated out under their prior, shape (1+p, 1+p)."""
+        total, q = self.per_run.sum(axis=0), self.q
         inner = total[1 : 1 + q, 1 : 1 + q] + np.diag(self.prior_precision)
         keep = np.r_[0, 1 + q : total.shape[0]]
         cross = total[np.ix_(keep, np.arange(1, 1 + q))]
         return np.asarray(total[np.ix_(keep, keep)] - cross @ np.linalg.solve(inner, cross.T))
-
-    @cached_property
-    def full(self) -> Array:
-        """[y, Phi] from all runs, shape (1+p, 1+p)."""
-        return self.eliminated(self.per_run.sum(axis=0))
 
     def _normal(self, chosen: Sequence[int], precision: float) -> tuple[Array, NDArray[np.intp], Array, Array]:
         """All runs together, rows of base and chosen columns, their prior precisions, and their normal matrix."""
@@ -137,14 +133,13 @@ class Gram:
         """Rise of the log-likelihood when the chosen columns enter (sign ignored)."""
         if not len(chosen):
             return 0.0
-        index = 1 + np.asarray(chosen, dtype=int)
+        index, inner = self._inner(chosen)
         b = self.full[index, 0]
-        return float(0.5 * b @ np.linalg.solve(_steady(self.full[np.ix_(index, index)]), b))
+        return float(0.5 * b @ np.linalg.solve(inner, b))
 
     def coefficients(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Shares of the chosen columns and their covariance (model-based)."""
-        index = 1 + np.asarray(chosen, dtype=int)
-        inner = _steady(self.full[np.ix_(index, index)])
+        index, inner = self._inner(chosen)
         return np.asarray(np.linalg.solve(inner, self.full[index, 0])), np.asarray(np.linalg.inv(inner))
 
     def joint(self, chosen: Sequence[int], count: int) -> tuple[Array, Array]:
@@ -159,24 +154,30 @@ class Gram:
         """[y, Phi] after the chosen columns are projected out as well, shape (1+p, 1+p)."""
         if not len(chosen):
             return self.full
-        index = 1 + np.asarray(chosen, dtype=int)
+        index, inner = self._inner(chosen)
         cross = self.full[:, index]
-        return np.asarray(self.full - cross @ np.linalg.solve(_steady(self.full[np.ix_(index, index)]), cross.T))
+        return np.asarray(self.full - cross @ np.linalg.solve(inner, cross.T))
+
+    def _inner(self, chosen: Sequence[int]) -> tuple[NDArray[np.intp], Array]:
+        """Rows of some columns and their matrix, with a hair of ridge, so that exact twins give a finite answer."""
+        index = 1 + np.asarray(chosen, dtype=np.intp)
+        out = self.full[np.ix_(index, index)]
+        diagonal = np.diag_indices_from(out)
+        out[diagonal] *= 1 + 1e-9
+        out[diagonal] += 1e-9
+        return index, out
 
 
-def _steady(matrix: Array) -> Array:
-    """A hair of ridge, so that exact twins give a finite answer."""
-    out = matrix.copy()
-    out[np.diag_indices_from(out)] *= 1 + 1e-9
-    out[np.diag_indices_from(out)] += 1e-9
-    return out
+def reduced(design: Design, noise: Noise, chosen: Sequence[int]) -> tuple[Gram, float]:
+    """Gram matrices of some columns under a noise model, and log det(I + D Z'Z) of the random effects of all runs."""
+    blocks = raw_blocks(design, noise, design.residual[None, :], chosen)
+    left, log_det = eliminate_random(blocks, noise.random_sd())
+    return Gram(left, design.layout.prior_sd**-2.0), float(log_det.sum())
 
 
 def make_gram(design: Design, noise: Noise) -> Gram:
     """Gram matrices of the whole design under a noise model."""
-    blocks = raw_blocks(design, noise, design.residual[None, :], range(len(design.phi)))
-    reduced, _ = eliminate_random(blocks, noise.random_sd())
-    return Gram(reduced, design.layout.prior_sd**-2.0)
+    return reduced(design, noise, range(len(design.phi)))[0]
 
 
 @dataclass(frozen=True)
@@ -227,48 +228,6 @@ def random_effects(design: Design, noise: Noise, chosen: Sequence[int]) -> Array
     return np.asarray(-p[q:].reshape(len(design.runs), RANDOM_COUNT) * sd)
 
 
-@dataclass(frozen=True)
-class Constraints:
-    """What a set of columns must obey: signs, and one column of a grid at a time.
-
-    ``sign`` (p,) and ``effect`` (p,) by column; ``joint`` (p,) is True for levels of one label, which may be in
-    together.
-    """
-
-    sign: NDArray[np.intp]
-    effect: NDArray[np.intp]
-    joint: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, layout: Layout, candidates: Sequence[Candidate]) -> Constraints:
-        """Constraints of the columns of a layout."""
-        own = [candidates[c.candidate] for c in layout.columns]
-        return cls(
-            np.array([c.sign if c.prior is None or c.sign else 1 for c in own], dtype=np.intp),
-            np.array([c.candidate for c in layout.columns], dtype=np.intp),
-            np.array([bool(c.levels) for c in own]),
-        )
-
-    @cached_property
-    def grid_nats(self) -> Array:
-        """Nats that each column owes to its grid of shapes, which bends towards noise and other forms, shape (p,)."""
-        number = np.bincount(self.effect)[self.effect]
-        return np.where(self.joint | (number == 1), 0.0, np.maximum(np.log(number), SHAPE_NATS))
-
-    def compatible(self, column: int, chosen: Iterable[int]) -> bool:
-        """Whether a column may join a set."""
-        for other in chosen:
-            if other == column:
-                return False
-            if self.effect[other] == self.effect[column] and not self.joint[column]:
-                return False
-        return True
-
-    def signs_hold(self, chosen: Sequence[int], coefficients: Array) -> bool:
-        """Whether every coefficient has the sign that physics asks for."""
-        return bool(np.all(self.sign[list(chosen)] * coefficients >= 0))
-
-
 def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) -> Array:
     """Log-likelihood gain of each column beyond the chosen ones; -inf where signs or grids forbid, shape (p,)."""
     rest = gram.conditional(chosen)
@@ -284,7 +243,7 @@ def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) ->
         elif len(chosen) and np.isfinite(gain[k]):
             # a new column may turn the sign of one that is in
             values, _ = gram.coefficients([*chosen, k])
-            if not constraints.signs_hold([*chosen, k], values):
+            if not np.all(constraints.sign[[*chosen, k]] * values >= 0):
                 gain[k] = -np.inf
     return gain
 
@@ -312,7 +271,8 @@ def all_sets(constraints: Constraints, size: int, base: Sequence[int] = ()) -> N
     p = len(constraints.sign)
     # beyond triples all sets would take seconds, and swaps of one column reach most of them
     if size <= 2 or (size == 3 and p**3 / 6 < MOST_TRIPLES):
-        sets = [c for c in combinations(range(p), size) if _allowed(constraints, c)]
+        every = combinations(range(p), size)
+        sets = [c for c in every if all(constraints.compatible(k, c[:i]) for i, k in enumerate(c))]
     else:
         sets = []
         for out in range(len(base)):
@@ -321,15 +281,7 @@ def all_sets(constraints: Constraints, size: int, base: Sequence[int] = ()) -> N
     return np.asarray(sets, dtype=np.intp).reshape(-1, size)
 
 
-def _allowed(constraints: Constraints, columns: Sequence[int]) -> bool:
-    return all(constraints.compatible(c, columns[:i]) for i, c in enumerate(columns))
-
-
-def best_set(gram: Gram, constraints: Constraints, size: int, base: Sequence[int]) -> tuple[tuple[int, ...], float]:
-    """Best allowed set of a size and its gain."""
+def best_set(gram: Gram, constraints: Constraints, size: int, base: Sequence[int]) -> tuple[int, ...]:
+    """Best allowed set of a size."""
     sets = all_sets(constraints, size, base)
-    if not len(sets):
-        return tuple(base), -np.inf
-    gains = set_gains(gram, constraints, sets)
-    top = int(np.argmax(gains))
-    return tuple(int(k) for k in sets[top]), float(gains[top])
+    return tuple(int(k) for k in sets[int(np.argmax(set_gains(gram, constraints, sets)))]) if len(sets) else tuple(base)

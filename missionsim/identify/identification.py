@@ -11,16 +11,15 @@ import numpy as np
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
-from missionsim.identify.estimates import Z95, Pair, estimated, pairs
+from missionsim.identify.estimates import Z95, estimated, pairs
 from missionsim.identify.evidence import smallest_detectable
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
 from missionsim.identify.forward import Choice
-from missionsim.identify.gram import Constraints
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
-from missionsim.identify.rules import GATES, Question, Remains, demoted, refusal
+from missionsim.identify.rules import Remains, demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import factor_told, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
@@ -83,8 +82,7 @@ def identify(
     ValueError
         Without a run of at least eight analysis intervals, or with arrays of different lengths.
     """
-    source = make_source(runs, candidates, prior_sd, settings)
-    return _told(choose(source, candidates, settings), candidates, settings, len(runs))
+    return _told(choose(make_source(runs, candidates, prior_sd, settings)), len(runs))
 
 
 def fit_effects(
@@ -101,8 +99,7 @@ def fit_effects(
     ValueError
         If an effect is not among the candidates or never acts in these runs.
     """
-    source = make_source(runs, candidates, prior_sd, settings)
-    return _told(forced(source, candidates, effects, settings), candidates, settings, len(runs), given=True)
+    return _told(forced(make_source(runs, candidates, prior_sd, settings), effects), len(runs), given=True)
 
 
 def refutes(free: Identification, held: Identification) -> bool:
@@ -117,70 +114,77 @@ def refutes(free: Identification, held: Identification) -> bool:
     return free.error_w2(clocks) < part * held.error_w2(clocks)
 
 
-def _told(
-    choice: Choice, candidates: Sequence[Candidate], settings: Settings, given_runs: int, given: bool = False
-) -> Identification:
+def _told(choice: Choice, given_runs: int, given: bool = False) -> Identification:
     """Everything that is said of a choice; with `given` effects, all of them are named."""
-    constraints = Constraints.of(choice.model.source.layout, candidates)
-    choice, shapes = refit_shapes(choice, candidates, constraints, settings)
-    if not given and choice.forward is None:  # the selection by prediction has gates of its own
-        choice = confirmed(choice, candidates, constraints, settings)
-        inside = {candidates[int(constraints.effect[k])].effect for k in choice.model.chosen}
-        shapes = {name: shape for name, shape in shapes.items() if name in inside}
-    model = choice.model
-    remains = _remains(model, candidates, constraints, settings)
-    structures = _structures(model, remains)
+    near = choice.forward is None
+    choice, shapes = refit_shapes(choice, choice.model.chosen)
+    if not given and near:  # the selection by prediction has gates of its own
+        choice = confirmed(choice)
+    model, constraints = choice.model, choice.model.constraints
+    chosen = dict.fromkeys(constraints.of_column(k).effect for k in model.chosen)
+    shapes = {name: shape for name, shape in shapes.items() if name in chosen}
+
+    forms = {k: form for k in model.chosen if (form := wrong_form(model, k)) is not None}
+    # a wrong form is told once, not as a dependence on its covariate too
+    seen = {s.covariate for s in forms.values()}
+    rest = tuple(s for s in dependences(model) if s.covariate not in seen)
+    loose = tuple(s for s in (periodic(model), low_frequency_noise(model)) if s is not None)
+    remains = Remains(forms, rest, loose)
+    apart, meters_apart = runs_apart(model)
+    structures = (*forms.values(), *rest, *loose, *(() if apart is None else (apart,)))
+
     unnamed: tuple[str, ...] = ()
     factor: float | None = None
     averages: tuple[Structure, ...] = ()
     if not given:
-        if choice.forward is None:
-            unnamed = _unnamed(choice, candidates, constraints, settings, remains)
-        else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
-            wrong = [candidates[int(constraints.effect[k])] for k in remains.forms]
-            unnamed = tuple(dict.fromkeys(c.effect for c in wrong if not c.levels))
-        chosen = tuple(dict.fromkeys(candidates[int(constraints.effect[k])].effect for k in model.chosen))
-        if choice.forward is None:
-            shifted = parameters_instead(model, constraints, candidates, settings)
+        if near:
+            shifted = parameters_instead(model)
             structures = (*shifted.values(), *structures)
-            unnamed = tuple(dict.fromkeys((*unnamed, *shifted)))
-        factor = instead_of_effects(model) if set(chosen) - set(unnamed) else None
+            doubtful = [k for k in model.chosen if demoted(model, choice.evidence[k], remains)]
+        else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
+            shifted, doubtful = {}, [k for k in forms if not constraints.of_column(k).levels]
+        unnamed = tuple(dict.fromkeys((*(constraints.of_column(k).effect for k in doubtful), *shifted)))
+        named = [name for name in chosen if name not in unnamed]
+        factor = instead_of_effects(model) if named else None
         if factor is not None:
-            named = [name for name in chosen if name not in unnamed]
             structures, unnamed = (factor_told(factor, named), *structures), tuple(sorted(chosen))
         elif (level := level_difference(model)) is not None:
             averages = (level,)
     # after the refit of shapes, so that rivals meet the effect at its best
-    alike = pairs(model, constraints, candidates)
-    effects = estimated(choice, candidates, constraints, settings, shapes, alike, set(unnamed))
-    names = {effect.effect for effect in effects}
-    noise = model.noise
+    alike = pairs(model)
+    effects = estimated(choice, shapes, alike, unnamed)
+    confounding: dict[str, dict[str, float]] = {}
+    for pair in alike:
+        if math.isfinite(pair.r) and any(effect.effect == pair.a for effect in effects):
+            confounding.setdefault(pair.a, {})[pair.b] = pair.r
+    noise, layout = model.noise, model.design.layout
+    shifts, covariance = model.estimate(model.chosen)
+    told = ("fast_s", "slow_s", "fast_share", "slow_share", "offset_w", "gain", "motion_gain")
+    size = {"sd_w": noise.total_sd_w, "sd_share": noise.total_sd_w / layout.mean_power_w}
     return Identification(
         verdict=decide(effects, structures, unnamed, averages=averages),
         effects=effects,
-        candidates=_judged(choice, candidates, constraints, settings, effects, unnamed, factor),
-        recalibration=_recalibration(model),
+        candidates=_judged(choice, effects, unnamed, factor),
+        recalibration=tuple(
+            Recalibrated(
+                parameter=name,
+                shift=float(shifts[i]),
+                shift_sd=float(np.sqrt(covariance[i, i])),
+                shift_in_prior_sd=float(shifts[i] / layout.prior_sd[i]),
+            )
+            for i, name in enumerate(layout.parameters)
+        ),
         delay_s=model.clock.delay_s,
         lag_s=model.clock.lag_s,
         clock_at_edge=model.clock.at_edge,
-        noise={
-            "sd_w": noise.total_sd_w,
-            "sd_share": noise.total_sd_w / model.design.layout.mean_power_w,
-            "fast_s": noise.fast_s,
-            "slow_s": noise.slow_s,
-            "fast_share": noise.fast_share,
-            "slow_share": noise.slow_share,
-            "offset_w": noise.offset_w,
-            "gain": noise.gain,
-            "motion_gain": noise.motion_gain,
-        },
-        unexplained=unexplained(model, structures, averages, depends=factor is None),
-        remarks=_remarks(model, given_runs),
-        mean_power_w=model.design.layout.mean_power_w,
-        confounding=_confounding(alike, names),
+        noise=size | {name: getattr(noise, name) for name in told},
+        unexplained=_unexplained(model, structures, averages, depends=factor is None),
+        remarks=_remarks(model, given_runs, meters_apart),
+        mean_power_w=layout.mean_power_w,
+        confounding=confounding,
         choice=choice,
-        library=tuple(candidates),
-        settings=settings,
+        library=tuple(constraints.candidates),
+        settings=constraints.settings,
         shapes=shapes,
         demoted=unnamed,
         factor=factor,
@@ -188,58 +192,20 @@ def _told(
     )
 
 
-def _remains(model: Model, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings) -> Remains:
-    forms = {}
-    for column in model.chosen:
-        own = candidates[int(constraints.effect[column])]
-        wrong = wrong_form(model, column, own.covariate, settings, own.prior or "")
-        if wrong is not None:
-            forms[column] = wrong
-    # a wrong form is told once, not as a dependence on its covariate too
-    seen = {s.covariate for s in forms.values()}
-    rest = tuple(s for s in dependences(model, settings, model.chosen) if s.covariate not in seen)
-    loose = (periodic(model, model.innovations), low_frequency_noise(model))
-    return Remains(forms, rest, tuple(s for s in loose if s is not None))
-
-
-def _structures(model: Model, remains: Remains) -> tuple[Structure, ...]:
-    """All that remains, in the order in which it is told."""
-    apart, _ = runs_apart(model)
-    last = () if apart is None else (apart,)
-    return (*remains.forms.values(), *remains.dependences, *remains.loose, *last)
-
-
-def _unnamed(
-    choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings, remains: Remains
-) -> tuple[str, ...]:
-    """Effects in the model that a demotion keeps from being named."""
-    found = []
-    for column in choice.model.chosen:
-        question = Question(choice.model, choice.evidence[column], constraints, candidates, settings)
-        if demoted(question, remains):
-            found.append(candidates[int(constraints.effect[column])].effect)
-    return tuple(dict.fromkeys(found))
-
-
 def _judged(
-    choice: Choice,
-    candidates: Sequence[Candidate],
-    constraints: Constraints,
-    settings: Settings,
-    effects: Sequence[Finding],
-    unnamed: Sequence[str],
-    factor: float | None,
+    choice: Choice, effects: Sequence[Finding], unnamed: Sequence[str], factor: float | None
 ) -> tuple[Judged, ...]:
     """Every candidate with its reason and its detection limit."""
+    constraints = choice.model.constraints
     if choice.forward is None:
-        limits = smallest_detectable(choice.model, constraints, settings)
+        limits = smallest_detectable(choice.model)
     else:
-        limits = choice.forward.smallest_detectable(len(constraints.effect), settings)
+        limits = choice.forward.smallest_detectable(len(constraints.effect), constraints.settings)
     rival_of = {rival: one.effect for one in effects for rival in one.indistinguishable_from}
     out = []
-    for number, candidate in enumerate(candidates):
+    for number, candidate in enumerate(constraints.candidates):
         name = candidate.effect
-        own = [k for k in range(len(constraints.effect)) if constraints.effect[k] == number]
+        own, _ = constraints.split(range(len(constraints.effect)), number)
         inside = [k for k in own if k in choice.model.chosen]
         share = sum(choice.evidence[k].share for k in inside)
         tried = [choice.refused[k] for k in own if k in choice.refused]
@@ -259,7 +225,8 @@ def _judged(
         # the shape that would be seen first: smaller than that nothing of the effect is seen
         limit = min((float(limits[k]) for k in own), default=math.inf)
         # what is there by every test but that of runs it was not fitted to, one of which may be spoilt, is not excluded
-        unsure = [e for e in tried if not inside and all(e.passed.get(g.name, True) for g in GATES) and not e.accepted]
+        spoilt = [e for e in tried if all(held or gate in ("runs", "energy") for gate, held in e.passed.items())]
+        unsure = [e for e in spoilt if not inside and not e.accepted]
         shares = {e.share: e.share + Z95 * e.share_sd for e in unsure}
         limit = max([limit, *shares.values()])
         out.append(
@@ -275,31 +242,8 @@ def _judged(
     return tuple(out)
 
 
-def _recalibration(model: Model) -> tuple[Recalibrated, ...]:
-    layout = model.design.layout
-    shifts, covariance = model.estimate(model.chosen)
-    return tuple(
-        Recalibrated(
-            parameter=name,
-            shift=float(shifts[i]),
-            shift_sd=float(np.sqrt(covariance[i, i])),
-            shift_in_prior_sd=float(shifts[i] / layout.prior_sd[i]),
-        )
-        for i, name in enumerate(layout.parameters)
-    )
-
-
-def _confounding(alike: Sequence[Pair], names: set[str]) -> dict[str, dict[str, float]]:
-    """How alike each effect found is to others, as correlations."""
-    rows: dict[str, dict[str, float]] = {}
-    for pair in alike:
-        if pair.a in names and math.isfinite(pair.r):
-            rows.setdefault(pair.a, {})[pair.b] = pair.r
-    return rows
-
-
-def unexplained(
-    model: Model, structures: Sequence[Structure], averages: Sequence[Structure] = (), depends: bool = True
+def _unexplained(
+    model: Model, structures: Sequence[Structure], averages: Sequence[Structure], depends: bool
 ) -> Unexplained:
     """What is left, with the share of the squared error that the structures make; `averages` are told, not counted."""
     left = model.design.residual
@@ -313,7 +257,7 @@ def unexplained(
     return Unexplained(float(share), on, told, (*averages, *structures))
 
 
-def _remarks(model: Model, given_runs: int) -> tuple[str, ...]:
+def _remarks(model: Model, given_runs: int, meters_apart: str) -> tuple[str, ...]:
     out = []
     used = len(model.design.runs)
     if used < given_runs:
@@ -325,8 +269,8 @@ def _remarks(model: Model, given_runs: int) -> tuple[str, ...]:
         )
     elif used < SEVERAL_RUNS:
         out.append("two runs only: no p-value across runs; differences between runs rest on two values")
-    if told := runs_apart(model)[1]:
-        out.append(told)
+    if meters_apart:
+        out.append(meters_apart)
     if model.clock.at_edge:
         out.append("the delay or lag of the power meter lies at the edge of what was searched; check the clocks")
     return tuple(out)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
-from missionsim.identify.align import Clock
+from missionsim.identify.align import Clock, uphill
+from missionsim.identify.data import Constraints
 from missionsim.identify.design import Design, Source
-from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
+from missionsim.identify.gram import Gram, innovations, make_gram, random_effects, reduced
 from missionsim.identify.noise import Noise, start_factor, start_noise
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise, on_rows
@@ -41,6 +42,11 @@ class Model:
     squares: LeastSquares | None = None
     """Least squares at this clock, where it predicts left-out runs better than the noise model does."""
 
+    @property
+    def constraints(self) -> Constraints:
+        """Whose columns these are, and what they must obey."""
+        return self.source.constraints
+
     @cached_property
     def gram(self) -> Gram:
         """Gram matrices of all columns."""
@@ -49,7 +55,7 @@ class Model:
     @cached_property
     def innovations(self) -> Array:
         """Whitened residual, shape (n,)."""
-        return np.asarray(project(self.design, self.noise, self.design.residual[None, :], self.chosen).rows[0])
+        return innovations(self.design, self.noise, self.chosen)
 
     def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients that a robot file can hold: relative shifts of the base, then shares of columns.
@@ -83,23 +89,10 @@ def spread(model: Model) -> Model:
 
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
-    gram, log_det = _reduced(source, clock, noise, chosen)
+    gram, log_det = reduced(source.design(clock, chosen), noise, range(len(chosen)))
     # the prior of the runs' own delays, which the search moves as well
     spread = sum((d / RUN_DELAY_SD_S) ** 2 for d in clock.run_delay_s)
     return gram.evidence(range(len(chosen))) - 0.5 * log_det - 0.5 * spread
-
-
-def shares(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> Array:
-    """Shares of energy of the chosen columns at a clock, noise given, shape (chosen,)."""
-    gram, _ = _reduced(source, clock, noise, chosen)
-    return gram.coefficients(range(len(chosen)))[0]
-
-
-def _reduced(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> tuple[Gram, float]:
-    design = source.design(clock, chosen)
-    blocks = raw_blocks(design, noise, design.residual[None, :], range(len(chosen)))
-    reduced, log_det = eliminate_random(blocks, noise.random_sd())
-    return Gram(reduced, design.layout.prior_sd**-2.0), float(log_det.sum())
 
 
 def spread_runs(runs: int, rows: int, fewest: int = FEWEST_FITTED) -> list[int]:
@@ -125,53 +118,29 @@ def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[in
     some, part = source, noise
     if len(numbers) < len(source.runs):
         some, part = source.of_runs(numbers), noise.of_rows(source.rows_of(numbers))
-    for round_ in range(rounds):
-        found = _search_common(some, clock.of_runs(numbers), part, chosen, reach, round_ == 0)
-        clock = replace(found, run_delay_s=clock.run_delay_s)
+    steps = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1), (-1, 2), (1, -2)]
+    for turn in range(rounds):
+        own = clock.of_runs(numbers)
+
+        @cache
+        def value(delay: float, lag: float, own: Clock = own) -> float:
+            return score(some, replace(own, delay_s=delay, lag_s=lag), part, chosen)
+
+        at = (round(clock.delay_s, 3), round(clock.lag_s, 3))
+        if turn == 0:  # a delay is easily taken for a lag: look along the ridge of equal sums
+            ridge = [(round(at[0] - d * reach, 3), round(at[1] + d * reach, 3)) for d in (-0.4, -0.2, 0, 0.2, 0.4)]
+            at = max((place for place in ridge if place[1] >= 0), key=lambda place: value(*place))
+        delay_s, lag_s = uphill(value, at, reach, steps, 6, 3, CLOCK_RISE_NATS)
+        # the lag has no lower end, and 1.3 rows is as far as the steps go
+        at_edge = abs(delay_s) > 1.0 * reach or lag_s > 1.3 * reach
+        clock = replace(clock, delay_s=delay_s, lag_s=lag_s, at_edge=at_edge)
         if len(source.runs) > 1:
-            clock = _move_runs(source, clock, noise, chosen)
+            design = source.design(clock, chosen)
+            delays = np.asarray(clock.run_delay_s) + random_effects(design, noise, range(len(chosen)))[:, 3]
+            mean = float(np.mean(delays))
+            each = np.clip(delays - mean, -LARGEST_RUN_DELAY_S, LARGEST_RUN_DELAY_S)
+            clock = replace(clock, delay_s=clock.delay_s + mean, run_delay_s=tuple(float(d) for d in each))
     return clock
-
-
-def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], reach: float, far: bool) -> Clock:
-    seen: dict[tuple[float, float], float] = {}
-
-    def value(delay: float, lag: float) -> float:
-        key = (round(delay, 3), round(lag, 3))
-        if key not in seen:
-            seen[key] = score(source, replace(clock, delay_s=key[0], lag_s=key[1]), noise, chosen)
-        return seen[key]
-
-    centre = (round(clock.delay_s, 3), round(clock.lag_s, 3))
-    if far:  # a delay is easily taken for a lag: look along the ridge of equal sums
-        ridge = [(round(centre[0] - d * reach, 3), round(centre[1] + d * reach, 3)) for d in (-0.4, -0.2, 0, 0.2, 0.4)]
-        centre = max((r for r in ridge if r[1] >= 0), key=lambda k: value(*k))
-    for width in (0.1 * reach, 0.05 * reach):
-        for _ in range(6):
-            steps = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1), (-1, 2), (1, -2)]
-            around = [(centre[0] + i * width, max(0.0, centre[1] + j * width)) for i, j in steps]
-            top = max(around, key=lambda k: value(*k))
-            top = (round(top[0], 3), round(top[1], 3))
-            if top == centre or value(*top) < value(*centre) + CLOCK_RISE_NATS:
-                break
-            centre = top
-    # the lag has no lower end, and 1.3 rows is as far as the steps go
-    edge = 1.0 * reach
-    return replace(clock, delay_s=centre[0], lag_s=centre[1], at_edge=abs(centre[0]) > edge or centre[1] > 1.3 * reach)
-
-
-def _move_runs(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> Clock:
-    design = source.design(clock, chosen)
-    wide = random_effects(design, noise, range(len(chosen)))[:, 3]
-    delays = np.asarray(clock.run_delay_s) + wide
-    mean = float(np.mean(delays))
-    own = np.clip(delays - mean, -LARGEST_RUN_DELAY_S, LARGEST_RUN_DELAY_S)
-    return replace(clock, delay_s=clock.delay_s + mean, run_delay_s=tuple(float(d) for d in own))
-
-
-def _unusual(noise: Noise, design: Design) -> bool:
-    offset = noise.offset_w / design.layout.mean_power_w
-    return max(noise.gain, noise.motion_gain, offset) > UNUSUAL_GAIN
 
 
 def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None, thorough: bool = True) -> Model:
@@ -180,37 +149,36 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
     clock = start.clock if start else source.clock
     design = start.design if start and start.source is source else source.design(clock)
     guess = start.noise if start else None
-    unusual = guess is not None and _unusual(guess, design)
-    if guess is not None and unusual:
+    # without a start, or where runs differ by more than meters do
+    anew = guess is None or (
+        max(guess.gain, guess.motion_gain, guess.offset_w / design.layout.mean_power_w) > UNUSUAL_GAIN
+    )
+    if guess is not None and anew:
         # what a new effect explains had passed for differences between runs, and a fit from there would stay there
         fresh = start_noise(design)
+        shape = {name: getattr(fresh, name) for name in ("fast_s", "slow_s", "fast_share", "slow_share")}
         guess = replace(
             guess,
             gain=min(guess.gain, USUAL_GAIN),
             motion_gain=min(guess.motion_gain, USUAL_GAIN),
             offset_w=min(guess.offset_w, fresh.offset_w),
-            fast_s=fresh.fast_s,
-            slow_s=fresh.slow_s,
-            fast_share=fresh.fast_share,
-            slow_share=fresh.slow_share,
+            **shape,
         )
-    noise = fitted_noise(design, chosen, guess, thorough=guess is None or unusual)
+    noise = fitted_noise(design, chosen, guess, thorough=anew)
     if source.aligned:
         clock = refine_clock(source, clock, noise, chosen, 2 if start is None else 1)
         design = source.design(clock)
-        noise = fitted_noise(design, chosen, noise, thorough=thorough or unusual)
+        noise = fitted_noise(design, chosen, noise, thorough=thorough or (guess is not None and anew))
     return Model(source, chosen, clock, design, noise)
 
 
 def log_likelihood(model: Model) -> float:
     """Log evidence of the model with its own noise, for comparing models whose noise was fitted separately."""
     noise, design = model.noise, model.design
-    blocks = raw_blocks(design, noise, design.residual[None, :], model.chosen)
-    reduced, log_det = eliminate_random(blocks, noise.random_sd())
-    gram = Gram(reduced, design.layout.prior_sd**-2.0)
+    gram, log_det = reduced(design, noise, model.chosen)
     start = 0.5 * len(design.stretches) * start_factor(*noise.shape)[2]
     level = float(np.sum(np.log(noise.sigma_w * noise.scale / np.sqrt(noise.weight)))) + start
-    return gram.evidence(range(len(model.chosen))) - 0.5 * float(log_det.sum()) - level
+    return gram.evidence(range(len(model.chosen))) - 0.5 * log_det - level
 
 
 def prediction(model: Model, chosen: Sequence[int], design: Design) -> Array:

@@ -236,11 +236,6 @@ class Noise:
         return self.sigma_w * arma_of(*self.shape)[2]
 
 
-def packed(design: Design, noise: Noise, rows: Array) -> Packed:
-    """Rows (k, n), divided by the scale of the noise, ready to be whitened with any shape of the noise."""
-    return Packed.of(rows, noise.scale, noise.weight, design.stretches, design.runs)
-
-
 def start_noise(design: Design) -> Noise:
     """First guess, from published figures: 3 % noise, mostly a few seconds long, meters apart by 0.5 %."""
     power = design.layout.mean_power_w

@@ -7,69 +7,42 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.data import Candidate, Column
+from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.forward import Choice
-from missionsim.identify.gram import Constraints
-from missionsim.identify.model import Model, score, shares
+from missionsim.identify.gram import reduced
+from missionsim.identify.model import Model, score
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.rules import weigh
-from missionsim.identify.settings import LIMIT_NATS, SHAPE_EVALUATIONS, SHAPE_SD, Settings
+from missionsim.identify.rules import weighed
+from missionsim.identify.settings import LIMIT_NATS, SHAPE_EVALUATIONS, SHAPE_SD
 from missionsim.physics import Array
 
 
 def refit_shapes(
-    choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings
+    choice: Choice, columns: Iterable[int], limited: bool = True
 ) -> tuple[Choice, dict[str, dict[str, float]]]:
-    """Refit the shape of every chosen effect that has one; returns the new choice and the shapes with 95 % limits.
+    """The choice with the shapes of the given columns at their best, and these shapes, with 95 % limits if `limited`.
 
     An effect whose shape cannot be evaluated elsewhere keeps its grid value.
     """
     shapes: dict[str, dict[str, float]] = {}
-    for column in choice.model.chosen:
-        here = choice.model.source.layout.columns[column]
-        candidate = candidates[here.candidate]
-        if _has_shape(candidate, here):
-            choice, shapes[candidate.effect] = _refit(choice, column, candidate, candidates, constraints, settings)
-        elif candidate.shape and not candidate.levels and candidate.shape[here.position]:
-            shapes[candidate.effect] = dict(candidate.shape[here.position])
+    for column in columns:
+        candidate = choice.model.constraints.of_column(column)
+        position = choice.model.source.layout.columns[column].position
+        if candidate.levels or not candidate.shape or not candidate.shape[position]:
+            continue
+        if candidate.refit is None:
+            shapes[candidate.effect] = dict(candidate.shape[position])
+        else:
+            choice, shapes[candidate.effect] = _refit(choice, column, candidate, limited)
     return choice, shapes
 
 
-def refit_shapes_of(
-    choice: Choice,
-    columns: Iterable[int],
-    candidates: Sequence[Candidate],
-    constraints: Constraints,
-    settings: Settings,
-) -> Choice:
-    """The choice with the shapes of the given columns at their best, without limits."""
-    for column in columns:
-        here = choice.model.source.layout.columns[column]
-        candidate = candidates[here.candidate]
-        if _has_shape(candidate, here):
-            choice, _ = _refit(choice, column, candidate, candidates, constraints, settings, limited=False)
-    return choice
-
-
-def _has_shape(candidate: Candidate, column: Column) -> bool:
-    """Whether the column has shape parameters that can be evaluated away from the grid."""
-    return candidate.refit is not None and not candidate.levels and bool(candidate.shape[column.position])
-
-
-def _refit(
-    choice: Choice,
-    column: int,
-    candidate: Candidate,
-    candidates: Sequence[Candidate],
-    constraints: Constraints,
-    settings: Settings,
-    limited: bool = True,
-) -> tuple[Choice, dict[str, float]]:
+def _refit(choice: Choice, column: int, candidate: Candidate, limited: bool) -> tuple[Choice, dict[str, float]]:
     from scipy.optimize import minimize
 
     model = choice.model
-    here = model.source.layout.columns[column]
+    here, every = model.source.layout.columns[column], range(len(model.chosen))
     start = dict(here.shape or candidate.shape[here.position])
     names = list(start)
     bounds = [
@@ -85,16 +58,16 @@ def _refit(
         pairs = zip(names, x, logarithmic, bounds, strict=True)
         return {n: float(np.clip(np.exp(v) if log else v, *b)) for n, v, log, b in pairs}
 
-    def with_shape(shape: Mapping[str, float]) -> Source:
-        return _replaced(model.source, column, candidate, shape)
-
     low, high = inner([b[0] for b in bounds]), inner([b[1] for b in bounds])
     usual = np.mean([inner([s[n] for n in names]) for s in candidate.shape], axis=0)
 
     def cost(x: Array) -> float:
         # where a free base leaves a shape open (a reference temperature beyond all that was met), it stays usual
         unusual = 0.5 * float(np.sum(((x - usual) / (SHAPE_SD * (high - low))) ** 2))
-        return unusual - _score(model, with_shape(outer(x)))
+        source = _replaced(model.source, column, candidate, outer(x))
+        if model.squares is None:
+            return unusual - score(source, model.clock, model.noise, model.chosen)
+        return unusual - LeastSquares.of(source.design(model.clock, model.chosen)).score(every)
 
     # start inside: at a bound the simplex would be flat
     x0 = np.clip(inner([start[n] for n in names]), low, high)
@@ -107,22 +80,24 @@ def _refit(
         options={"maxfev": SHAPE_EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
     )
     best = outer(found.x)
-    source = with_shape(best)
+    source = _replaced(model.source, column, candidate, best)
     design = source.design(model.clock)
     squares = None if model.squares is None else LeastSquares.of(design)
     # clock and noise stay at those of the grid column, which lies near
     refitted = Model(source, model.chosen, model.clock, design, model.noise, squares)
-    if squares is None:
-        evidence = {c: weigh(refitted, c, constraints, candidates, settings) for c in model.chosen}
-    else:
-        evidence = dict(choice.evidence)
+    evidence = weighed(refitted) if squares is None else dict(choice.evidence)
     limits: dict[str, float] = {}
     if limited:
-        limits = _limits(cost, found.x, float(found.fun), LIMIT_NATS, (low, high), outer, names)
+        limits = _limits(cost, found.x, float(found.fun), (low, high), outer, names)
 
         def size(shape: Mapping[str, float]) -> tuple[float, float]:
-            trial = with_shape(shape)
-            share = float(_shares(model, trial)[model.chosen.index(column)])
+            trial = _replaced(model.source, column, candidate, shape)
+            design, at = trial.design(model.clock, model.chosen), model.chosen.index(column)
+            if model.squares is None:
+                share = float(reduced(design, model.noise, every)[0].coefficients(every)[0][at])
+            else:
+                squares = LeastSquares.of(design)
+                share = float(squares.fit(every)[squares.q + at])
             return share, share / trial.layout.columns[column].watts_per_unit
 
         ends = [[size(best | {n: limits.get(f"{n}.{end}", best[n])}) for end in ("low", "high")] for n in names]
@@ -135,41 +110,25 @@ def _refit(
     return replace(choice, model=refitted, evidence=evidence), best | limits
 
 
-def _score(model: Model, source: Source) -> float:
-    """Log-likelihood of the model's columns as another source has them, or that of the least squares it rests on."""
-    if model.squares is None:
-        return score(source, model.clock, model.noise, model.chosen)
-    return LeastSquares.of(source.design(model.clock, model.chosen)).score(range(len(model.chosen)))
-
-
-def _shares(model: Model, source: Source) -> Array:
-    """Shares of the model's columns as another source has them, shape (chosen,)."""
-    if model.squares is None:
-        return shares(source, model.clock, model.noise, model.chosen)
-    squares = LeastSquares.of(source.design(model.clock, model.chosen))
-    return squares.fit(range(len(model.chosen)))[squares.q :]
-
-
 def _limits(
     cost: Callable[[Array], float],
     x: Array,
     least: float,
-    drop: float,
     bounds: tuple[Array, Array],
     outer: Callable[[Array], dict[str, float]],
     names: Sequence[str],
 ) -> dict[str, float]:
-    """Profile-likelihood limits: where the likelihood is `drop` nats below its best, the other parameters held."""
+    """Profile-likelihood limits: where the likelihood is `LIMIT_NATS` below its best, the other parameters held."""
     out: dict[str, float] = {}
     for i, name in enumerate(names):
         for end, label in ((bounds[0][i], "low"), (bounds[1][i], "high")):
             inside, outside = x[i], end
             trial = x.copy()
             trial[i] = end
-            if cost(trial) - least > drop:
+            if cost(trial) - least > LIMIT_NATS:
                 for _ in range(6):
                     trial[i] = 0.5 * (inside + outside)
-                    if cost(trial) - least > drop:
+                    if cost(trial) - least > LIMIT_NATS:
                         outside = trial[i]
                     else:
                         inside = trial[i]
@@ -182,18 +141,17 @@ def _limits(
 def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[str, float]) -> Source:
     """The same runs with one column evaluated at another shape."""
     assert candidate.refit is not None
-    rows = _matching(source, candidate.refit(shape))
+    raw = candidate.refit(shape)
+    rows = [np.asarray(raw[i]) for i in source.kept]
     energy = sum(float(np.sum(np.abs(values) * run.dt_s)) for run, values in zip(source.runs, rows, strict=True))
-    seconds = sum(float(np.sum(run.dt_s)) for run in source.runs)
-    mean = energy / seconds
+    mean = energy / sum(float(np.sum(run.dt_s)) for run in source.runs)
     if not mean > 0:
         return source
-    numbered = list(source.layout.columns)
-    numbered[column] = replace(
-        numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape), shape=tuple(shape.items())
+    columns = list(source.layout.columns)
+    columns[column] = replace(
+        columns[column], watts_per_unit=mean, mix=_mix(candidate, shape), shape=tuple(shape.items())
     )
-    layout = replace(source.layout, columns=tuple(numbered))
-    return source.with_column(column, layout, rows)
+    return source.with_column(column, replace(source.layout, columns=tuple(columns)), rows)
 
 
 def _mix(candidate: Candidate, shape: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
@@ -214,8 +172,3 @@ def _mix(candidate: Candidate, shape: Mapping[str, float]) -> tuple[tuple[str, f
     second = min(across, key=lambda i: distance[i])
     weight = distance[second] / (distance[first] + distance[second])
     return ((candidate.columns[first], float(weight)), (candidate.columns[second], float(1 - weight)))
-
-
-def _matching(source: Source, raw: Sequence[Array]) -> list[Array]:
-    """Arrays of the runs that were long enough to be used."""
-    return [np.asarray(raw[i]) for i in source.kept]

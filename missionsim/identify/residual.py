@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.design import Design
 from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import project, random_effects
@@ -43,7 +42,6 @@ from missionsim.identify.settings import (
     SUPPORT_S,
     UNUSUAL_GAIN,
     USUAL_GAIN,
-    Settings,
 )
 from missionsim.physics import Array
 from missionsim.runs.covariates import known
@@ -94,15 +92,8 @@ def knots_of(values: Array) -> Array:
 
 def hats(values: Array, knots: Array) -> Array:
     """Hat functions of a piecewise linear curve, shape (knots - 1, n): the first knot is the reference."""
-    if len(knots) < 2:
-        return np.zeros((0, len(values)))
-    out = np.empty((len(knots) - 1, len(values)))
     inside = np.clip(values, knots[0], knots[-1])
-    for i in range(1, len(knots)):
-        unit = np.zeros(len(knots))
-        unit[i] = 1.0
-        out[i - 1] = np.interp(inside, knots, unit)
-    return out
+    return np.array([np.interp(inside, knots, unit) for unit in np.eye(len(knots))[1:]]).reshape(-1, len(values))
 
 
 def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Array]:
@@ -112,11 +103,11 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
     if known(covariate).magnitude or covariate == SPEED:
         raw = [np.abs(r) for r in raw]
     knots = knots_of(np.concatenate(raw))
+    if len(knots) < 2:
+        return np.zeros((0, len(model.design.y))), knots
     rows = [hats(r, knots) for r in raw]
     if times:
         rows = [h * np.abs(np.nan_to_num(run.covariates[times])) for h, run in zip(rows, runs, strict=True)]
-    if len(knots) < 2:
-        return np.zeros((0, len(model.design.y))), knots
     averaged = model.source.averaged(rows, model.clock)
     # a stretch of the curve that only rows beside ramps support says nothing about its shape
     seconds = np.abs(averaged) @ (model.design.duration_s * ~ramps(model))
@@ -163,7 +154,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     return gain, max(p_like, p_robust), values
 
 
-def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list[Structure]:
+def dependences(model: Model) -> list[Structure]:
     """Covariates on which the residual still depends, loudest first."""
     flat = steady(model)
     names = [n for n in model.source.covariates if not known(n).ramps]
@@ -175,44 +166,40 @@ def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list
         rows, knots = curve_rows(model, name, times)
         if len(knots) > 3 and rows.shape[0] < FEWEST_HATS:
             continue
-        best: tuple[float, float, Array, float] | None = None
         for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
-            gain, p_value, values = test_curve(judge, rows, chosen)
+            gain, p_value, values = test_curve(judge, rows, model.chosen)
             fitted = values @ rows
             size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
-            loud = p_value * max(1, len(tests)) < level and gain > least
-            if loud and size > 2 * settings.min_share:
-                best = (gain, p_value, values, size)
-                break
-        if best is None:
-            continue
-        gain, p_value, values, size = best
-        curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
-        shape = _words(name, times, knots, np.asarray(curve))
-        found = Structure(name, p_value * len(tests), gain, size, shape, times)
-        if name not in out or out[name].gain_nats < gain:
-            out[name] = found
+            if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
+                continue
+            if name not in out or out[name].gain_nats < gain:
+                shape = _words(name, times, knots, values)
+                out[name] = Structure(name, p_value * len(tests), gain, size, shape, times)
+            break
     return sorted(out.values(), key=lambda s: -s.gain_nats)
 
 
-def _words(name: str, times: str, knots: Array, curve: Array) -> str:
+def _words(name: str, times: str, knots: Array, values: Array) -> str:
+    """What is said of a curve with values at the knots beyond the first, which is its reference."""
     what = f"residual varies with {name}" + (f" (times {times})" if times else "")
-    if len(curve) != len(knots) or known(name).text:
+    if len(values) != len(knots) - 1 or known(name).text:
         return what
+    curve = np.append(0.0, values)
     top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
     return f"{what}: lowest at {knots[bottom]:.3g}, highest at {knots[top]:.3g}"
 
 
-def periodic(model: Model, chosen_rows: Array) -> Structure | None:
+def periodic(model: Model) -> Structure | None:
     """A line in the mean periodogram of the whitened residual that stands out of its neighbourhood."""
     from scipy.special import gammaincc
 
     design = model.design
     step = design.layout.step_s
-    parts = [chosen_rows[r] for r in design.runs if r.stop - r.start >= 64]
+    parts = [model.innovations[r] for r in design.runs if r.stop - r.start >= 64]
     if not parts:
         return None
-    length = 2 ** int(np.ceil(np.log2(max(len(p) for p in parts))))
+    longest = max(len(p) for p in parts)
+    length = 2 ** int(np.ceil(np.log2(longest)))
     power = np.zeros(length // 2)
     for p in parts:
         spectrum = np.abs(np.fft.rfft((p - p.mean()) * np.hanning(len(p)), length)[1 : length // 2 + 1]) ** 2
@@ -222,35 +209,30 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     smooth = np.convolve(power, [0.25, 0.5, 0.25], mode="same")
     width = min(61, 2 * (len(smooth) // 4) + 1)
     around = np.lib.stride_tricks.sliding_window_view(np.pad(smooth, width // 2, mode="edge"), width)
-    floor = np.median(around, axis=1)
-    ratio = smooth / np.maximum(floor, 1e-300)
-    usable = np.arange(1, length // 2 + 1)
+    ratio = smooth / np.maximum(np.median(around, axis=1), 1e-300)
+    number = np.arange(1, length // 2 + 1)
     # two and a half periods at least, and slower than eight rows: faster is the robot's own motion
-    usable_mask = (usable > 2.5 * length / max(len(p) for p in parts)) & (usable < length // 8)
-    if not np.any(usable_mask):
+    usable = (number > 2.5 * length / longest) & (number < length // 8)
+    if not np.any(usable):
         return None
-    ratio = np.where(usable_mask, ratio, 0.0)
+    ratio = np.where(usable, ratio, 0.0)
     top = int(np.argmax(ratio))
     looks = 1.3 * len(parts)  # the smoothed mean of so many periodograms is distributed as gamma
-    p_value = float(gammaincc(looks, ratio[top] * 0.97 * looks)) * int(usable_mask.sum())
+    p_value = float(gammaincc(looks, ratio[top] * 0.97 * looks)) * int(usable.sum())
     if p_value > PERIODIC_LEVEL or ratio[top] < LINE_RATIO:
         return None
-    period, sd = _refined(parts, (top + 1) / length)
-    words = f"periodic load, period {period * step:.0f} ± {max(1.0, sd * step):.0f} s"
-    return Structure("time_s", p_value, float(ratio[top]), 0.0, words)
-
-
-def _refined(parts: Sequence[Array], frequency: float) -> tuple[float, float]:
-    """Period of a line between the frequencies of the periodogram and about its standard error, both in rows."""
-    longest = max(len(p) for p in parts)
+    # the line lies between the frequencies of the periodogram; its period and about its standard error, both in rows
+    frequency = (top + 1) / length
     tried = np.linspace(max(frequency - 1.0 / longest, 0.3 * frequency), frequency + 1.0 / longest, 81)
-    power = np.zeros(len(tried))
+    fine = np.zeros(len(tried))
     for p in parts:
         wave = np.exp(-2j * np.pi * tried[:, None] * np.arange(len(p)))
         line = np.abs(wave @ ((p - p.mean()) * np.hanning(len(p)))) ** 2
-        power += line / max(float(np.mean(p**2)) * len(p), 1e-300)
-    period = 1.0 / float(tried[int(np.argmax(power))])
-    return period, 0.5 * period**2 / (longest * np.sqrt(len(parts)))
+        fine += line / max(float(np.mean(p**2)) * len(p), 1e-300)
+    period = 1.0 / float(tried[int(np.argmax(fine))])
+    sd = 0.5 * period**2 / (longest * np.sqrt(len(parts)))
+    words = f"periodic load, period {period * step:.0f} ± {max(1.0, sd * step):.0f} s"
+    return Structure("time_s", p_value, float(ratio[top]), 0.0, words)
 
 
 def low_frequency_noise(model: Model) -> Structure | None:
@@ -274,21 +256,13 @@ def low_frequency_noise(model: Model) -> Structure | None:
     return Structure("time_s", 0.0, 0.0, size, words)
 
 
-def _held(model: Model, parameter: str) -> Model:
-    """The same model with a base parameter held, where it has one of that name."""
-    layout = model.design.layout
-    if parameter not in layout.parameters:
-        return model
-    sd = layout.prior_sd.copy()
-    sd[layout.parameters.index(parameter)] *= HELD
-    return replace(model, design=replace(model.design, layout=replace(layout, prior_sd=sd)))
-
-
-def wrong_form(model: Model, column: int, covariate: str, settings: Settings, twin: str = "") -> Structure | None:
+def wrong_form(model: Model, column: int) -> Structure | None:
     """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right.
 
-    What the base parameter that is the `twin` of an effect takes of it is explained by the same form.
+    What the base parameter that is the twin of the effect takes of it is explained by the same form.
     """
+    candidate, settings = model.constraints.of_column(column), model.constraints.settings
+    covariate = candidate.covariate
     if covariate not in model.source.covariates:
         return None
     rest = [k for k in model.chosen if k != column]
@@ -296,10 +270,11 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings, tw
     rows, knots = curve_rows(model, covariate, times)
     if rows.shape[0] < 2:
         return None  # too few values of the covariate to judge a form
+    own_row = model.design.phi[[column]]
     judges = [(model, RAMP_FORM_RATIO)]
     if not known(covariate).ramps:
         away = steady(model)
-        gain, gain_away = (test_curve(m, model.design.phi[[column]], rest)[0] for m in (model, away))
+        gain, gain_away = (test_curve(m, own_row, rest)[0] for m in (model, away))
         if gain_away > STEADY_PART * gain:  # a surge at each start acts on ramps alone
             judges.insert(0, (away, settings.form_ratio))
     for judge, ratio in judges:
@@ -309,20 +284,21 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings, tw
         faint = beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS)
         if faint or (p_value > FORM_FAINT and not loud):
             continue
+        layout = judge.design.layout
+        if candidate.prior in layout.parameters:
+            sd = layout.prior_sd.copy()
+            sd[layout.parameters.index(candidate.prior)] *= HELD
+            judge = replace(judge, design=replace(judge.design, layout=replace(layout, prior_sd=sd)))
         # both against the model without the effect, so that they compare
-        judge = _held(judge, twin)
-        own, _, _ = test_curve(judge, model.design.phi[[column]], rest)
-        free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), rest)
+        own, _, _ = test_curve(judge, own_row, rest)
+        free, _, _ = test_curve(judge, np.vstack([rows, own_row]), rest)
         # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that
         sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
         if own < GROSS * free or (own < ratio * free and sure):
-            break
-    else:
-        return None
-    curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
-    size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-    words = f"{covariate}: form not right ({_words(covariate, times, knots, np.asarray(curve))})"
-    return Structure(covariate, p_value, beyond, size, words)
+            size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
+            words = f"{covariate}: form not right ({_words(covariate, times, knots, values)})"
+            return Structure(covariate, p_value, beyond, size, words)
+    return None
 
 
 def stands_without(model: Model, column: int, structure: Structure) -> bool:
@@ -370,17 +346,12 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
         "drives usually do: something that changes from run to run is missing; the same motion costs most in "
         f"{most} and least in {least}"
     )
-    if _each_floor_once(model.design):
-        words += "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
+    design, effect = model.design, model.constraints.effect
+    for number in set(effect.tolist()):
+        acts = np.array([np.any(design.phi[effect == number][:, rows], axis=1) for rows in design.runs])
+        if np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
+            words += (
+                "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
+            )
+            break
     return Structure("run", 0.0, 0.0, size, words), ""
-
-
-def _each_floor_once(design: Design) -> bool:
-    """Whether every run has a floor, or another label, of its own."""
-    effects = [column.candidate for column in design.layout.columns]
-    for effect in set(effects):
-        levels = design.phi[[k for k, other in enumerate(effects) if other == effect]]
-        acts = np.array([np.any(levels[:, rows], axis=1) for rows in design.runs])
-        if len(acts) > 1 and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
-            return True
-    return False

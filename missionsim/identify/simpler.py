@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.findings import Structure
-from missionsim.identify.gram import Constraints, Gram, project
+from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
-from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE, ODDS_NATS, SAME_COLUMN, Settings
+from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE, ODDS_NATS, SAME_COLUMN
 
 
 def may_differ(source: Source) -> bool:
@@ -64,17 +63,15 @@ def instead_of_effects(model: Model) -> float | None:
     return None if abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH else factor
 
 
-def parameters_instead(
-    model: Model, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
-) -> dict[str, Structure]:
+def parameters_instead(model: Model) -> dict[str, Structure]:
     """Effects in the model in whose place one base parameter, left free, explains as much; each with what is said.
 
     Only parameters that no effect is the twin of: a twin is named, or among the rivals.
     """
-    gram, layout = model.gram, model.design.layout
-    twins = set()
-    for k, column in enumerate(layout.columns):
-        name = candidates[column.candidate].prior
+    gram, layout, constraints = model.gram, model.design.layout, model.constraints
+    settings, twins = constraints.settings, set()
+    for k in range(len(layout.columns)):
+        name = constraints.of_column(k).prior
         if name in layout.parameters:  # what two parameters imitate together is the twin of neither
             a, b = model.design.phi[k], model.design.gradient[layout.parameters.index(name)]
             if abs(float(a @ b)) > SAME_COLUMN * float(np.linalg.norm(a) * np.linalg.norm(b)):
@@ -85,11 +82,10 @@ def parameters_instead(
         freedom[i] = LEAST_FREE_SD**-2.0
         freed[i] = Gram(gram.per_run, freedom)
     told: dict[str, Structure] = {}
-    for number in dict.fromkeys(int(constraints.effect[k]) for k in model.chosen):
-        if candidates[number].prior is not None:
+    for number in constraints.numbers(model.chosen):
+        if constraints.candidates[number].prior is not None:
             continue
-        own = [k for k in model.chosen if constraints.effect[k] == number]
-        rest = [k for k in model.chosen if k not in own]
+        own, rest = constraints.split(model.chosen, number)
         gain = gram.gain(model.chosen) - gram.gain(rest) - float(constraints.grid_nats[own[0]])
         needed = gain - max(ODDS_NATS, settings.noisy_rival_loss * gain)
         left = float(gram.conditional(rest)[0, 0])
@@ -97,7 +93,7 @@ def parameters_instead(
             rise = 0.5 * (left - float(free.conditional(rest)[0, 0]))
             shift = float(free.joint(rest, len(layout.parameters))[0][i])
             if rise > needed and abs(shift) > settings.recalibration_limit * layout.prior_sd[i]:
-                effect = candidates[number].effect
+                effect = constraints.candidates[number].effect
                 words = (
                     f"either {effect}, or {layout.parameters[i]} of the robot file is {100 * abs(shift):.0f} % too "
                     f"{'small' if shift > 0.0 else 'large'}: these data cannot tell; calibrate the file first"

@@ -7,17 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
-from missionsim.identify.evidence import Evidence, at_a_glance, nats_needed, tails
+from missionsim.identify.evidence import Evidence, chance_of, nats_needed, tails
 from missionsim.identify.floors import with_levels, with_what_runs_differ_by
 from missionsim.identify.forward import Choice, Forward, forward
-from missionsim.identify.gram import Constraints, best_set, make_gram, single_gains
+from missionsim.identify.gram import best_set, make_gram, single_gains
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers
-from missionsim.identify.profile import refit_shapes_of
+from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import low_frequency_noise
-from missionsim.identify.rules import LAST_GATES, Question, weigh
+from missionsim.identify.rules import last_gates, weighed
 from missionsim.identify.settings import (
     CLOSE,
     FRESH_NATS,
@@ -27,31 +26,28 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     TRIED,
     USUAL_GAIN,
-    Settings,
 )
 
 
-def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Choice:
+def choose(source: Source) -> Choice:
     """Search for the missing effects."""
-    selected = forward(source, candidates, settings)
+    selected = forward(source)
     if selected is not None:
         return _by_prediction(source, selected)
-    constraints = Constraints.of(source.layout, candidates)
     empty = fit_model(source, ())
     found = Choice(empty, empty, {})
     # each effect in the model lets the noise shrink, which shows the next
-    while len(found.model.chosen) < settings.max_effects and source.layout.columns:
-        step = _next_step(source, candidates, constraints, settings, found)
+    while len(found.model.chosen) < source.constraints.settings.max_effects and source.layout.columns:
+        step = _next_step(source, found)
         if step is None:
             break
         found, source = step, step.model.source
-    found = with_levels(found, candidates, constraints, settings)
-    found = with_what_runs_differ_by(found, candidates, constraints, settings)
+    found = with_what_runs_differ_by(with_levels(found))
     offset = found.model.noise.offset_w > USUAL_GAIN * source.layout.mean_power_w
     if len(source.runs) > SEVERAL_RUNS and (offset or low_frequency_noise(found.model) is not None):
         # of a column that is noisy or late, offsets of runs and a noise as slow as it is take what it says
-        selected = forward(source, candidates, settings, near=True)
-        if selected is not None and selected.stands(found.model, settings):
+        selected = forward(source, near=True)
+        if selected is not None and selected.stands(found.model):
             return _by_prediction(source, selected)
     return found
 
@@ -67,74 +63,63 @@ def _by_prediction(source: Source, selected: Forward) -> Choice:
     return Choice(model, empty, inside, outside, selected)
 
 
-def _next_step(
-    source: Source, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings, found: Choice
-) -> Choice | None:
+def _next_step(source: Source, found: Choice) -> Choice | None:
     """The model with one effect more, or another set of that size; None where no set passes the gates."""
-    model = found.model
+    model, owed = found.model, source.constraints.grid_nats
     # why a candidate was refused is told in the end, whichever step refused it
     refused = dict(found.refused)
-    trials = _trials(model, constraints, settings, refused)
     options: list[tuple[float, Choice]] = []
-    for trial in trials:
+    for trial in _trials(model, refused):
         fitted = fit_model(source, trial, model, thorough=False)
-        weighed = {c: weigh(fitted, c, constraints, candidates, settings) for c in trial}
-        if {gate for e in weighed.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
+        evidence = weighed(fitted)
+        if {gate for e in evidence.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
             # at the clock and noise of the model without it, most of it may have been taken for either
             fitted = fit_model(source, trial)
-            weighed = {c: weigh(fitted, c, constraints, candidates, settings) for c in trial}
-        if all(e.accepted for e in weighed.values()):
-            owed = float(np.sum(constraints.grid_nats[list(trial)]))
-            options.append((log_likelihood(fitted) - owed, Choice(fitted, found.empty, weighed)))
+            evidence = weighed(fitted)
+        if all(e.accepted for e in evidence.values()):
+            value = log_likelihood(fitted) - float(np.sum(owed[list(trial)]))
+            options.append((value, Choice(fitted, found.empty, evidence)))
         else:
-            refused.update({c: e for c, e in weighed.items() if c not in model.chosen and not e.accepted})
-    while options:
-        option = max(options, key=lambda one: one[0])
-        best = option[1]
+            refused.update({c: e for c, e in evidence.items() if c not in model.chosen and not e.accepted})
+    for _, best in sorted(options, key=lambda one: -one[0]):
         # the noise without an effect had swallowed it, and a fit that begins there may stay there
         fresh = fit_model(source, best.model.chosen)
         if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
-            weighed = {c: weigh(fresh, c, constraints, candidates, settings) for c in fresh.chosen}
-            best = replace(best, model=fresh, evidence=weighed)
+            best = replace(best, model=fresh, evidence=weighed(fresh))
         # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
         # a constant friction over; and the effect itself is asked again there
         new = set(best.model.chosen) - set(model.chosen)
-        bent = refit_shapes_of(best, new, candidates, constraints, settings)
+        bent, _ = refit_shapes(best, new, limited=False)
         failed = {k: e for k, e in bent.evidence.items() if not e.accepted}
         if not failed:
             bent.refused.update(refused)
             return bent
         refused.update({k: e for k, e in failed.items() if k in new})
-        options.remove(option)
     found.refused.update(refused)
     return None
 
 
-def confirmed(choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings) -> Choice:
+def confirmed(choice: Choice) -> Choice:
     """The choice without effects that fail a gate now that all are in: the weakest goes first, the others are asked
     again."""
     for e in choice.evidence.values():
-        question = Question(choice.model, e, constraints, candidates, settings)
-        e.passed.update({gate.name: gate.holds(question) for gate in LAST_GATES})
+        e.passed.update(last_gates(choice.model, e))
     while failed := [k for k, e in choice.evidence.items() if not e.accepted]:
         weakest = min(failed, key=lambda k: choice.evidence[k].gain)
         rest = tuple(k for k in choice.model.chosen if k != weakest)
         model = fit_model(choice.model.source, rest, choice.model, thorough=False)
-        evidence = {k: weigh(model, k, constraints, candidates, settings) for k in rest}
-        choice = replace(
-            choice, model=model, evidence=evidence, refused={**choice.refused, weakest: choice.evidence[weakest]}
-        )
+        refused = {**choice.refused, weakest: choice.evidence[weakest]}
+        choice = replace(choice, model=model, evidence=weighed(model), refused=refused)
     return choice
 
 
-def _trials(
-    model: Model, constraints: Constraints, settings: Settings, refused: dict[int, Evidence]
-) -> list[tuple[int, ...]]:
+def _trials(model: Model, refused: dict[int, Evidence]) -> list[tuple[int, ...]]:
     """Sets that are worth a fit with a noise of their own: the best single additions, and the best set of that size."""
+    constraints = model.constraints
     # what the model lacks looks like outliers to it, so that their weights would hide what is loudest
     gram = make_gram(model.design, without_outliers(model.design, model.noise))
     gains = single_gains(gram, constraints, model.chosen)
-    needed = nats_needed(float(np.max(tails(constraints, settings, bool(model.chosen)))))
+    needed = nats_needed(float(np.max(tails(constraints, bool(model.chosen)))))
     order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > PROMISING * needed]
     rest = gram.conditional(model.chosen)
     best: list[int] = []
@@ -142,21 +127,31 @@ def _trials(
         # one column of a grid is enough: its shape is refitted anyway
         if any(constraints.effect[k] == constraints.effect[o] for o in best):
             continue
-        if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < GLANCE * settings.min_share:
-            refused.setdefault(k, at_a_glance(model, k, float(gains[k])))
+        if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < GLANCE * constraints.settings.min_share:
+            if k not in refused:  # too small to matter, without a refit of the noise
+                own, gain = model.gram.conditional(model.chosen)[[0, 1 + k], 1 + k], float(gains[k])
+                refused[k] = Evidence(
+                    column=k,
+                    gain=gain,
+                    share=float(own[0] / own[1]),
+                    share_sd=float(np.sqrt(1.0 / own[1])),
+                    p_robust=chance_of(gain),
+                    p_runs=float("nan"),
+                    passed={"practical": False},
+                )
             continue
         if best and gains[k] < CLOSE * gains[best[0]]:
             break
         best.append(k)
     trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in best[:TRIED]]
     if trials and model.chosen:
-        swapped, _ = best_set(gram, constraints, len(model.chosen) + 1, trials[0])
+        swapped = best_set(gram, constraints, len(model.chosen) + 1, trials[0])
         if set(swapped) not in [set(t) for t in trials]:
             trials.append(swapped)
     return trials
 
 
-def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[str], settings: Settings) -> Choice:
+def forced(source: Source, effects: Sequence[str]) -> Choice:
     """Fit given effects without a search: the best column of each grid, all levels of a label that act.
 
     Raises
@@ -164,15 +159,13 @@ def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[st
     ValueError
         If an effect is unknown or has no column that acts in these runs.
     """
-    selected = forward(source, candidates, settings, effects)
+    selected = forward(source, effects)
     if selected is not None:
         return _by_prediction(source, selected)
-    layout = source.layout
-    constraints = Constraints.of(layout, candidates)
-    empty = fit_model(source, ())
-    model = empty
+    constraints = source.constraints
+    model = empty = fit_model(source, ())
     for name in effects:
-        own = [k for k, c in enumerate(layout.columns) if candidates[c.candidate].effect == name]
+        own = [k for k in range(len(source.layout.columns)) if constraints.of_column(k).effect == name]
         if not own:
             raise ValueError(f"effect {name} has no column that acts in these runs")
         if constraints.joint[own[0]]:
@@ -181,11 +174,8 @@ def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[st
             new = new or [own[int(np.argmax(gains[own]))]]
         else:
             # asked for by name: a wrong sign is told, not hidden
-            new = [own[int(np.argmax(_unsigned_gains(model, own)))]]
+            rest = model.gram.conditional(model.chosen)
+            unsigned = [0.5 * rest[0, 1 + k] ** 2 / max(rest[1 + k, 1 + k], 1e-300) for k in own]
+            new = [own[int(np.argmax(unsigned))]]
         model = fit_model(source, (*model.chosen, *new), model, thorough=False)
-    return Choice(model, empty, {c: weigh(model, c, constraints, candidates, settings) for c in model.chosen})
-
-
-def _unsigned_gains(model: Model, columns: Sequence[int]) -> list[float]:
-    rest = model.gram.conditional(model.chosen)
-    return [float(0.5 * rest[0, 1 + k] ** 2 / max(rest[1 + k, 1 + k], 1e-300)) for k in columns]
+    return Choice(model, empty, weighed(model))

@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from missionsim.identify.align import RunColumns, _Alignment, intervals_of, make_bins
-from missionsim.identify.averaging import integral_curves
+from missionsim.identify.align import alignment
+from missionsim.identify.averaging import Intervals, RunColumns, integral_curves, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import KEPT_CURVES, make_source
 from missionsim.identify.gram import eliminate_random, raw_blocks, total_without_random
 from missionsim.identify.noise import START_ROWS, Packed, arma_of, start_factor, start_noise
 from missionsim.identify.settings import Settings
 
-from .world import library, make_runs, with_gap
+from .world import averaged, library, make_runs, with_gap
 
 
 def _columns(step_s: float, rows: int, seed: int, gap: bool = False) -> RunColumns:
@@ -36,11 +36,11 @@ def several() -> list[RunColumns]:
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.35])
 def test_runs_together_are_averaged_like_runs_alone(several: list[RunColumns], lag_s: float) -> None:
-    intervals = intervals_of(several)
+    intervals = Intervals.of(several)
     delays = np.array([0.2, -0.37, 1.4])
     curves = integral_curves([run.values for run in several])
     together = intervals.means(curves, intervals.weights(delays, lag_s)).T
-    alone = np.hstack([run.averaged(d, lag_s) for run, d in zip(several, delays, strict=True)])
+    alone = np.hstack([averaged(run, d, lag_s) for run, d in zip(several, delays, strict=True)])
     assert together == pytest.approx(alone, rel=1e-10, abs=1e-10)
     known = np.abs(together[2]) > 0.0  # a late column says nothing yet in the very first interval
     assert together[2, known] == pytest.approx(np.full(known.sum(), 2.5), rel=1e-9)
@@ -51,7 +51,7 @@ def test_runs_together_are_averaged_like_runs_alone(several: list[RunColumns], l
 
 def test_a_delay_of_whole_rows_is_a_plain_mean_of_rows(several: list[RunColumns]) -> None:
     run = several[0]
-    found = run.averaged(0.3, 0.0)[:, 5]
+    found = averaged(run, 0.3, 0.0)[:, 5]
     assert found == pytest.approx(run.values[:, 50 - 3 : 60 - 3].mean(axis=1), rel=1e-9)
 
 
@@ -61,13 +61,13 @@ def test_a_lag_is_the_exponentially_weighted_mean_of_delays(several: list[RunCol
     run = replace(several[0], values=np.sin(time_s / 3.0)[None, :])
     fine = np.arange(0.0005, 4.0, 0.001)
     weight = np.exp(-fine / 0.3)
-    late = np.array([run.averaged(d, 0.0)[0, 20:-20] for d in fine[::20]])
+    late = np.array([averaged(run, d, 0.0)[0, 20:-20] for d in fine[::20]])
     expected = weight[::20] @ late / weight[::20].sum()
-    assert run.averaged(0.0, 0.3)[0, 20:-20] == pytest.approx(expected, abs=4e-3)
+    assert averaged(run, 0.0, 0.3)[0, 20:-20] == pytest.approx(expected, abs=4e-3)
 
 
 def test_intervals_beside_a_gap_have_edges_of_their_own(several: list[RunColumns]) -> None:
-    intervals = intervals_of(several)
+    intervals = Intervals.of(several)
     low = intervals.edges_s[intervals.low_at]
     high = intervals.edges_s[intervals.low_at + 1]
     assert low == pytest.approx(np.concatenate([run.bins.low_s for run in several]))
@@ -79,8 +79,8 @@ def test_a_constant_column_says_nothing_about_the_clock(several: list[RunColumns
     """What is left of it after differences and means is rounding, which must not be blown up to a regressor."""
     without = [replace(run, values=run.values[:2]) for run in several]
     for delay_s, lag_s in ((0.0, 0.0), (0.1, 0.3), (-0.4, 0.2)):
-        with_it = _Alignment.of(several, 1.0).score(delay_s, lag_s)
-        assert with_it == pytest.approx(_Alignment.of(without, 1.0).score(delay_s, lag_s), abs=1e-7)
+        with_it = alignment(several, 1.0)(delay_s, lag_s)
+        assert with_it == pytest.approx(alignment(without, 1.0)(delay_s, lag_s), abs=1e-7)
 
 
 def test_kept_curves_change_nothing() -> None:

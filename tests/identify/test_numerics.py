@@ -9,16 +9,16 @@ import pytest
 from scipy import stats
 
 from missionsim.identify import model
-from missionsim.identify.align import RunColumns, make_bins
-from missionsim.identify.data import RunData
+from missionsim.identify.averaging import RunColumns, make_bins
+from missionsim.identify.data import Constraints, RunData
 from missionsim.identify.design import make_source, switch_jumps
 from missionsim.identify.evidence import _chance_of_jackknife, _jackknife
-from missionsim.identify.gram import Constraints, all_sets, make_gram, project, set_gains
-from missionsim.identify.noise import arma_of, packed, start_noise
+from missionsim.identify.gram import all_sets, make_gram, project, set_gains
+from missionsim.identify.noise import Packed, arma_of, start_noise
 from missionsim.identify.residual import hats, knots_of
 from missionsim.identify.settings import Settings
 
-from .world import library, make_runs, with_gap
+from .world import averaged, library, make_runs, with_gap
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,8 @@ def test_whitening_is_the_inverse_cholesky_factor(source):
     design = source.design(source.clock)
     noise = start_noise(design)
     rows = np.random.default_rng(0).standard_normal((2, len(design.y)))
-    white = packed(design, noise, rows).white(noise.shape) / noise.sigma_w
+    packed = Packed.of(rows, noise.scale, noise.weight, design.stretches, design.runs)
+    white = packed.white(noise.shape) / noise.sigma_w
     part = design.runs[1]
     factor = np.linalg.cholesky(_dense(noise, part.stop - part.start))
     exact = np.linalg.solve(factor, rows[:, part].T).T
@@ -122,7 +123,7 @@ def _ramp_run(step=1.0, n=200):
 def test_a_delayed_ramp_is_exact(delay, lag):
     run = _ramp_run()
     bins = make_bins(run, 1.0)
-    mean = RunColumns.of(run, bins, [run.base_w]).averaged(delay, lag)[0]
+    mean = averaged(RunColumns.of(run, bins, [run.base_w]), delay, lag)[0]
     inside = slice(8, -8)  # away from where the log begins and ends
     expected = 3.0 + 0.1 * (run.time_s - delay - lag)
     assert mean[inside] == pytest.approx(expected[inside], abs=1e-6)
@@ -133,7 +134,7 @@ def test_averages_keep_the_integral():
     run = replace(_ramp_run(0.1, 2000), base_w=rng.uniform(1, 9, 2000))
     bins = make_bins(run, 1.0)
     columns = RunColumns.of(run, bins, [run.base_w])
-    mean = columns.averaged(0.0, 0.0)[0]
+    mean = averaged(columns, 0.0, 0.0)[0]
     assert len(mean) == 200
     assert mean @ (bins.high_s - bins.low_s) == pytest.approx(run.base_w.sum() * 0.1, rel=1e-9)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,15 +12,16 @@ import pytest
 
 from missionsim.identify import estimates, stepwise
 from missionsim.identify.align import Clock
-from missionsim.identify.data import Candidate
+from missionsim.identify.data import Candidate, Constraints
 from missionsim.identify.estimates import rivals
-from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
+from missionsim.identify.evidence import Evidence, evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
 from missionsim.identify.findings import Estimate, Finding, Structure
 from missionsim.identify.forward import Choice, _Search
-from missionsim.identify.gram import Constraints, Gram
+from missionsim.identify.gram import Gram
 from missionsim.identify.identification import Identification, fit_effects, identify, refutes
+from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.rules import DEMOTIONS, GATES, LAST_GATES, Question, Remains, demoted
+from missionsim.identify.rules import Remains, demoted, gates, last_gates
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
 
@@ -37,15 +38,23 @@ def fitted(effect: str, share: float, seed: int = 11) -> Identification:
     return fit_effects(make_runs(seed, strength(column, share)), library(), [effect], {})
 
 
-def question(found: Identification, **settings: float) -> Question:
+@dataclass(frozen=True)
+class Question:
+    model: Model
+    evidence: Evidence
+
+
+def question(found: Identification) -> Question:
     model = found.choice.model
-    constraints = Constraints.of(model.design.layout, found.library)
-    evidence = evidence_of(model, model.chosen[0], constraints, found.settings)
-    return Question(model, evidence, constraints, found.library, replace(Settings(), **settings))
+    return Question(model, evidence_of(model, model.chosen[0]))
 
 
 def passed(q: Question) -> dict[str, bool]:
-    return {gate.name: gate.holds(q) for gate in (*GATES, *LAST_GATES)}
+    return gates(q.model, q.evidence) | last_gates(q.model, q.evidence)
+
+
+def with_constraints(model: Model, constraints: Constraints) -> Model:
+    return replace(model, source=replace(model.source, constraints=constraints))
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +76,16 @@ def test_each_gate_alone_keeps_an_effect_out(grade: Question, gate: str, change:
 
 def test_the_level_is_that_of_all_effects_together_in_the_tail_that_physics_allows(grade: Question) -> None:
     # nine effects share 0.002; the sign of grade is fixed, so that one tail alarms: z = 3.51, 6.2 nats
-    tail = tails(grade.constraints, grade.settings, False)
-    assert grade.tail == pytest.approx(0.002 / 9)
-    assert nats_needed(grade.tail) == pytest.approx(6.17, abs=0.02)
-    names = [grade.candidates[k].effect for k in grade.constraints.effect]
+    constraints = grade.model.constraints
+    tail = tails(constraints, False)
+    names = [constraints.of_column(k).effect for k in range(len(tail))]
+    assert tail[grade.evidence.column] == pytest.approx(0.002 / 9)
+    assert nats_needed(tail[grade.evidence.column]) == pytest.approx(6.17, abs=0.02)
+    for gain, clear in ((6.1, False), (6.3, True)):
+        assert gates(grade.model, replace(grade.evidence, gain=gain))["likelihood"] is clear
     assert tail[names.index("rolling_friction")] == pytest.approx(0.002 / 9, rel=1e-9)  # a twin may only add power
     assert tail[names.index("cold_friction")] == pytest.approx(0.002 / 9 / np.sqrt(3))  # three time constants
-    assert tails(grade.constraints, grade.settings, True)[0] == pytest.approx(0.001 / 9)
+    assert tails(constraints, True)[0] == pytest.approx(0.001 / 9)
 
 
 def test_a_shift_within_four_prior_sd_is_recalibration() -> None:
@@ -115,12 +127,11 @@ def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> No
     for share, some in ((0.001, True), (0.05, False)):
         found = fitted("grade", share)
         model = found.choice.model
-        constraints = Constraints.of(model.design.layout, found.library)
-        number = int(constraints.effect[model.chosen[0]])
-        assert bool(rivals(model, number, constraints, found.library, Settings())) is some
+        number = int(model.constraints.effect[model.chosen[0]])
+        assert bool(rivals(model, number)) is some
         # what floors explain beside others is their own: noise of a covariate leaves nothing of it over
-        floors = replace(constraints, joint=np.ones_like(constraints.joint))
-        assert not rivals(model, number, floors, found.library, Settings())
+        floors = replace(model.constraints, joint=np.ones_like(model.constraints.joint))
+        assert not rivals(with_constraints(model, floors), number)
 
 
 def test_two_effects_together_stand_in_the_place_of_one() -> None:
@@ -142,10 +153,10 @@ def test_two_effects_in_the_place_of_one_have_a_price(turn: float, behind: float
     turned = [[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]] @ sides
     columns = np.sqrt(20_000.0) * np.vstack([[1.0, 0.0, 0.0], turned])
     rows = np.vstack([0.05 * columns[0], columns])
-    constraints = Constraints(np.zeros(3, dtype=int), np.arange(3), np.zeros(3, dtype=bool))
     candidates = [Candidate(name, (name,), covariate=name) for name in "abc"]
-    one, gram = SimpleNamespace(chosen=(0,)), Gram(rows @ rows.T[None], np.zeros(0))
-    assert estimates._close_ones(gram, one, 0, constraints, candidates, Settings()).keys() == rivals
+    constraints = Constraints(np.zeros(3, dtype=int), np.arange(3), np.zeros(3, dtype=bool), candidates)
+    one = SimpleNamespace(chosen=(0,), constraints=constraints, gram=Gram(rows @ rows.T[None], np.zeros(0)))
+    assert estimates._close_ones(one, 0).keys() == rivals
 
 
 @pytest.mark.parametrize(("tile", "told"), [(0.0, {"k_carpet"}), (0.0015, {"k_carpet", "k_tile"})])
@@ -172,12 +183,13 @@ def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
 ) -> None:
     """Oil that cools while the robot stands made a temperature effect of 2 % at p = 0.01; true ones are surer."""
     monkeypatch.setattr(estimates, "cause_is_constant", lambda *_: constant)
-    model = SimpleNamespace(chosen=(0, 1), design=SimpleNamespace(layout=SimpleNamespace(mean_power_w=10.0)))
+    effects = [Candidate("temperature_friction", ("cold",)), Candidate("turning_scrub", ("turns",))]
+    constraints = Constraints(np.zeros(2, dtype=int), np.arange(2), np.zeros(2, dtype=bool), effects)
+    design = SimpleNamespace(layout=SimpleNamespace(mean_power_w=10.0))
+    model = SimpleNamespace(chosen=(0, 1), design=design, constraints=constraints)
     evidence = SimpleNamespace(p_runs=p_runs)
     choice = SimpleNamespace(model=model, forward=SimpleNamespace(rivals={}), evidence={0: evidence, 1: evidence})
-    effects = [Candidate("temperature_friction", ("cold",)), Candidate("turning_scrub", ("turns",))]
-    constraints = SimpleNamespace(effect=np.array([0, 1]))
-    assert estimates._similar(choice, number, constraints, effects, Settings(), {0: 0.02, 1: 0.2}) == may_be
+    assert estimates._similar(choice, number, {0: 0.02, 1: 0.2}) == may_be
 
 
 def test_a_load_that_its_log_says_was_never_on_may_be_most_of_itself_or_all() -> None:
@@ -283,22 +295,23 @@ def test_the_verdict(effects, structures, demoted_names, rest, verdict) -> None:
 
 def test_each_demotion_alone_keeps_an_effect_unnamed(grade: Question) -> None:
     column = grade.evidence.column
-    nothing = Remains({}, (), ())
-    assert demoted(grade, nothing) == ""
-    assert demoted(grade, Remains({column: STRUCTURE}, (), ())) == DEMOTIONS[0].name
+    model, evidence = grade.model, grade.evidence
+    loose = Remains({}, (), (LOOSE,))
+    assert demoted(model, evidence, Remains({}, (), ())) == ""
+    assert demoted(model, evidence, Remains({column: STRUCTURE}, (), ())) == "its form is not right"
     standby = question(fitted("standby_load", 0.2))
-    assert demoted(standby, Remains({}, (), (LOOSE,))) == DEMOTIONS[1].name
-    faint = replace(grade, evidence=replace(grade.evidence, gain=45.0))
-    assert demoted(replace(grade, evidence=replace(grade.evidence, gain=500.0)), Remains({}, (), (LOOSE,))) == ""
-    assert demoted(faint, Remains({}, (), (LOOSE,))) == DEMOTIONS[2].name
+    assert demoted(standby.model, standby.evidence, loose) == "a load that comes and goes has its mean"
+    assert demoted(model, replace(evidence, gain=500.0), loose) == ""
+    assert demoted(model, replace(evidence, gain=45.0), loose) == "faint beside low-frequency noise"
     label = question(fitted("surface_rolling_resistance", 0.1))
-    one_level = replace(label, evidence=replace(label.evidence, gain=5.0))
-    assert demoted(one_level, Remains({}, (), (LOOSE,))) == ""  # a label is as faint as all its levels together
+    one_level = replace(label.evidence, gain=5.0)
+    assert demoted(label.model, one_level, loose) == ""  # a label is as faint as all its levels together
     # a free curve over the slope takes all that grade explains, and grade is no curve over the payload
     slope = replace(STRUCTURE, covariate="slope_rad", times="speed_m_s")
-    payload = replace(grade, candidates=[replace(c, covariate="payload_kg") for c in grade.candidates])
-    assert demoted(payload, Remains({}, (slope,), ())) == DEMOTIONS[3].name
-    assert demoted(payload, Remains({}, (replace(slope, covariate="payload_kg"),), ())) == ""
+    elsewhere = [replace(c, covariate="payload_kg") for c in model.constraints.candidates]
+    payload = with_constraints(model, replace(model.constraints, candidates=elsewhere))
+    assert demoted(payload, evidence, Remains({}, (slope,), ())) == "shadow of another structure"
+    assert demoted(payload, evidence, Remains({}, (replace(slope, covariate="payload_kg"),), ())) == ""
 
 
 def test_runs_that_share_a_gain_do_not_differ() -> None:
@@ -318,11 +331,10 @@ def test_worse_energy_of_left_out_runs_at_one_in_a_hundred_in_both_searches(
 ) -> None:
     """A car of seven trips lost its inertia (85 % of the squared error) at p = 0.04."""
     monkeypatch.setattr(LeastSquares, "energy_no_worse", lambda *_: p_value)
-    again = replace(grade)  # what was asked is kept
-    assert passed(again)["energy"] is stays
+    assert passed(grade)["energy"] is stays
     model = grade.model
-    search = _Search(LeastSquares.of(model.design), model.source.layout, grade.candidates, Settings())
-    assert search.measured(int(grade.constraints.effect[model.chosen[0]]), model.chosen, ()).passed["energy"] is stays
+    search = _Search(LeastSquares.of(model.design), model.source.layout, model.constraints.candidates, Settings())
+    assert search.measured(int(model.constraints.effect[model.chosen[0]]), model.chosen, ()).passed["energy"] is stays
 
 
 @pytest.mark.parametrize(
@@ -365,8 +377,8 @@ def test_of_effects_that_fail_the_weakest_goes_first(monkeypatch: pytest.MonkeyP
         return SimpleNamespace(gain=gain, accepted=stands, passed={})
 
     model = SimpleNamespace(chosen=(0, 1), source=None)
-    monkeypatch.setattr(stepwise, "LAST_GATES", ())
+    monkeypatch.setattr(stepwise, "last_gates", lambda *_: {})
     monkeypatch.setattr(stepwise, "fit_model", lambda _, rest, *__, **___: SimpleNamespace(chosen=rest, source=None))
-    monkeypatch.setattr(stepwise, "weigh", lambda *_: weigh(40.0, True))
+    monkeypatch.setattr(stepwise, "weighed", lambda left: {k: weigh(40.0, True) for k in left.chosen})
     both = Choice(model, model, {0: weigh(50.0, False), 1: weigh(9.0, False)})
-    assert stepwise.confirmed(both, (), None, Settings()).model.chosen == (0,)
+    assert stepwise.confirmed(both).model.chosen == (0,)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify.averaging import Intervals, RunColumns, integral_curves
 from missionsim.identify.data import Candidate, RunData
 
 Array = NDArray[np.float64]
@@ -168,3 +169,9 @@ def with_gap(run: RunData, first: int, last: int) -> RunData:
         columns=cut(dict(run.columns)),
         covariates=cut(dict(run.covariates)),
     )
+
+
+def averaged(run: RunColumns, delay_s: float, lag_s: float) -> Array:
+    """Mean of columns over every bin of one run, shape (columns, bins), as a late and sluggish meter would see it."""
+    intervals = Intervals.of([run])
+    return intervals.means(integral_curves([run.values]), intervals.weights(np.array([delay_s]), lag_s)).T
