@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, RawTable, Remark
+from missionsim.logs.raw import Bools, ColumnData, RawTable, Remark
 from missionsim.physics import Array
-
-Bools = NDArray[np.bool_]
 
 _SLOW_QUANTITIES = ("temp_ambient_c", "temp_motor_c", "payload_kg", "access_point_distance_m", "cpu_freq_hz")
 _SPARSE = 0.5
@@ -75,7 +73,7 @@ class Rows:
 def order_time(rows: Rows) -> None:
     """Make time finite, increasing and counted from the start of the run. Raises InputError: fewer than two rows; a
     time that restarts; a unit that is plainly not the second."""
-    file = rows.raw.file
+    file, even = rows.raw.file, "increasing times, one run a file"
     finite = np.isfinite(rows.time)
     if not finite.all():
         bad = int((~finite).sum())
@@ -87,30 +85,33 @@ def order_time(rows: Rows) -> None:
     step = np.diff(rows.time)
     back = step < 0
     if back.any():
-        _sort(rows, step, back)
+        count, jump = int(back.sum()), float(-step.min())
+        typical = float(np.median(np.abs(step)))
+        if jump > max(_REORDER_S, 20 * typical):
+            worst = int(np.argmin(step)) + 1
+            before, after = (f"{rows.time[row]:.6g}" for row in (worst - 1, worst))
+            told = f"time runs backwards by {jump:.6g} s, from {before} s to {after} s"
+            got = f"{after} after {before}" + (f", {count} such places" if count > 1 else "")
+            hint = "two runs in one file are split by a map with runs: {restart: true}"
+            raise InputError(Fault(file, rows.raw.line(int(rows.row[worst])), 0, told, "time_s", got, even, hint))
+        told = f"time runs backwards in {count} places, by up to {jump:.3g} s"
+        at, action = int(np.argmax(back)) + 1, "the rows were sorted by time"
+        rows.remark("time_backwards", "time_s", told, action, "error", at, count)
+        rows.take(np.argsort(rows.time, kind="stable"))
     if (np.diff(rows.time) == 0).any():
         _merge_duplicates(rows)
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, "all rows have the same time", path="time_s", allowed="at least two times"))
-    _gaps(rows)
-
-
-def _sort(rows: Rows, step: Array, back: Bools) -> None:
-    count = int(back.sum())
-    at = int(np.argmax(back)) + 1
-    jump = float(-step[back].min())
-    typical = float(np.median(np.abs(step)))
-    if jump > max(_REORDER_S, 20 * typical):
-        worst = int(np.argmin(step)) + 1
-        line = rows.raw.line(int(rows.row[worst]))
-        before, after = (f"{rows.time[row]:.6g}" for row in (worst - 1, worst))
-        told = f"time runs backwards by {jump:.6g} s, from {before} s to {after} s"
-        got = f"{after} after {before}" + (f", {count} such places" if count > 1 else "")
-        hint = "two runs in one file are split by a map with runs: {restart: true}"
-        raise InputError(Fault(rows.raw.file, line, 0, told, "time_s", got, "increasing times, one run a file", hint))
-    told = f"time runs backwards in {count} places, by up to {jump:.3g} s"
-    rows.remark("time_backwards", "time_s", told, "the rows were sorted by time", "error", at, count)
-    rows.take(np.argsort(rows.time, kind="stable"))
+    step = np.diff(rows.time)
+    typical = float(np.median(step))
+    wide = step > max(5 * typical, typical + 0.5)
+    if wide.any():
+        longest = int(np.argmax(step))
+        count = int(wide.sum())
+        told = f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after"
+        told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
+        action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
+        rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
 
 
 def _merge_duplicates(rows: Rows) -> None:
@@ -138,19 +139,6 @@ def _merge_duplicates(rows: Rows) -> None:
     rows.columns, rows.row = merged, rows.row[starts]
 
 
-def _gaps(rows: Rows) -> None:
-    step = np.diff(rows.time)
-    typical = float(np.median(step))
-    wide = step > max(5 * typical, typical + 0.5)
-    if wide.any():
-        longest = int(np.argmax(step))
-        count = int(wide.sum())
-        told = f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after"
-        told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
-        action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
-        rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
-
-
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
     """Fill single missing values, hold slower topics, leave out what cannot be filled. `required`: columns that the
     batteries' power comes from. Gives column that was held from a slower topic → rows where it was really written."""
@@ -175,7 +163,26 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
         if known.mean() <= 1 - _SPARSE:
             held[name] = known
         rows.columns[name] = _filled(rows, name, np.asarray(rows.columns[name]), known, name in held)
-    _leave_out(rows, held)
+    # columns that are missing too long too often go, then the rows that still have holes; without a speed a run says
+    # hardly anything: while half of it is there, the rows go
+    n = len(rows.row)
+    for name in [name for name, data in rows.columns.items() if not isinstance(data, Labels) and name not in required]:
+        holes = int(np.isnan(np.asarray(rows.columns[name])).sum())
+        if holes > (_SPARSE if name == "speed_m_s" else 0.2) * n:
+            told = f"{holes} of {n} rows have no value near"
+            rows.remark("missing", name, told, "the column was left out", count=holes)
+            del rows.columns[name]
+    whole = np.ones(n, dtype=bool)
+    for data in rows.columns.values():
+        if not isinstance(data, Labels) and np.isnan(data.sum()):
+            whole &= ~np.isnan(data)
+    if not whole.all():
+        count = int((~whole).sum())
+        told = f"{count} of {n} rows lack a value with no other near"
+        rows.remark("missing", "", told, "these rows were left out", "warning", int(np.argmin(whole)), count)
+        rows.take(whole)
+        for name in held:
+            held[name] = held[name][whole]
     return held
 
 
@@ -229,27 +236,3 @@ def _filled(rows: Rows, name: str, data: Array, known: Bools, sparse: bool) -> A
     near = inside & (time[np.clip(after, 0, len(data) - 1)] - time[np.clip(before, 0, None)] <= limit)
     edge = ~inside & (np.abs(time - time[np.clip(np.where(before < 0, after, before), 0, len(data) - 1)]) <= limit)
     return np.where(known, data, np.where(near | edge, values, np.nan))
-
-
-def _leave_out(rows: Rows, held: dict[str, Bools]) -> None:
-    """Drop columns that are missing too long too often, then the rows that still have holes. Without a speed a run says
-    hardly anything: while half of it is there, the rows go."""
-    n = len(rows.row)
-    measured = {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
-    for name in [name for name, data in rows.columns.items() if not isinstance(data, Labels) and name not in measured]:
-        holes = int(np.isnan(np.asarray(rows.columns[name])).sum())
-        if holes > (_SPARSE if name == "speed_m_s" else 0.2) * n:
-            told = f"{holes} of {n} rows have no value near"
-            rows.remark("missing", name, told, "the column was left out", count=holes)
-            del rows.columns[name]
-    whole = np.ones(n, dtype=bool)
-    for data in rows.columns.values():
-        if not isinstance(data, Labels) and np.isnan(data.sum()):
-            whole &= ~np.isnan(data)
-    if not whole.all():
-        count = int((~whole).sum())
-        told = f"{count} of {n} rows lack a value with no other near"
-        rows.remark("missing", "", told, "these rows were left out", "warning", int(np.argmin(whole)), count)
-        rows.take(whole)
-        for name in held:
-            held[name] = held[name][whole]

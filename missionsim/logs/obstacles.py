@@ -11,8 +11,8 @@ import numpy as np
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import refreshes
-from missionsim.logs.suspect import STRETCH, Bools, hardly_moves, stretches
+from missionsim.logs.raw import Bools, refreshes
+from missionsim.logs.suspect import STRETCH, hardly_moves, stretches
 from missionsim.physics import Array
 from missionsim.physics.lag import Meter, metered
 
@@ -82,8 +82,6 @@ _MOST_SAMPLES = 40_000
 _LEAST_SAMPLES = 60
 _SMOOTHINGS_S = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Time constants tried for a meter that smooths [s]."""
-
-
 _CHARGE_S, _BRIEF_S, _CHARGE, _NOISY = 10.0, 1.0, 0.1, 3.0
 """Shorter than this a battery may take back what the drive gives up in stopping, filters included, unless the robot has
 stood for `_LONGEST_S` before; shorter than the second no charger is told from that; less, as a part of the usual power
@@ -188,21 +186,28 @@ def clock_delay(
     if len(grid) < _LEAST_SAMPLES:
         return None
     power = np.diff(np.interp(grid, time_s, power_w))
-    causes = _causes(grid, step, time_s, speed_m_s, yaw_rate_rad_s, slope_rad)
+    speed = np.interp(grid, time_s, speed_m_s)
+    # averaged over half a second: the rate of a noisy speed is noise
+    width = max(1, round(0.5 / step))
+    rate = np.gradient(np.convolve(speed, np.ones(width) / width, mode="same"), step)
+    followed = [np.abs(speed), speed**2, speed * rate]
+    if yaw_rate_rad_s is not None:
+        followed.append(np.abs(np.interp(grid, time_s, yaw_rate_rad_s)))
+    if slope_rad is not None:
+        followed.append(np.abs(speed) * np.sin(np.interp(grid, time_s, slope_rad)))
+    causes = np.array(followed)
     most = round(_LONGEST_S / step)
     explained = _explained(power, np.diff(causes, axis=1), most)
     if explained is None:
         return None
-    lags = range(-most, most + 1)
     top = int(np.argmax(explained))
-    offset = 0.0
-    if 0 < top < len(lags) - 1:
+    best, offset = float(explained[top]), 0.0
+    if best <= 0.2:
+        return None
+    if 0 < top < 2 * most:
         left, middle, right = explained[top - 1 : top + 2]
         bend = left - 2 * middle + right
         offset = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    best = float(explained[top])
-    if best <= 0.2:
-        return None
     smoothed = 0.0, 0.0
     for tau in _SMOOTHINGS_S if best > _FOLLOWS else ():
         shown = metered(causes, grid, Meter(-0.5 * step, tau))
@@ -210,25 +215,8 @@ def clock_delay(
             smoothed = tau, float(one[0])
     smoothing_s, correlation = smoothed if smoothed[1] > best else (0.0, smoothed[1])
     return ClockEstimate(
-        float((lags[top] + offset) * step), best, float(explained[most]), step, smoothing_s, correlation
+        float((top - most + offset) * step), best, float(explained[most]), step, smoothing_s, correlation
     )
-
-
-def _causes(
-    grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None, slope_rad: Array | None
-) -> Array:
-    """What power follows, shape (k, n): speed, its square, what speeding up takes, turning, climbing."""
-    speed = np.interp(grid, time_s, speed_m_s)
-    # averaged over half a second: the rate of a noisy speed is noise
-    width = max(1, round(0.5 / step))
-    kernel = np.ones(width) / width
-    rate = np.gradient(np.convolve(speed, kernel, mode="same"), step)
-    rows = [np.abs(speed), speed**2, speed * rate]
-    if yaw_rate_rad_s is not None:
-        rows.append(np.abs(np.interp(grid, time_s, yaw_rate_rad_s)))
-    if slope_rad is not None:
-        rows.append(np.abs(speed) * np.sin(np.interp(grid, time_s, slope_rad)))
-    return np.array(rows)
 
 
 def _explained(power: Array, causes: Array, most: int) -> Array | None:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+Bools = NDArray[np.bool_]
+
+
 @dataclass(frozen=True)
 class Remark:
     """One finding of the log checks."""
@@ -112,7 +115,7 @@ def wanted_kind(name: str) -> str:
 
 
 def from_arrow(
-    table: pa.Table | pa.RecordBatch, file: str, lines: Callable[[int], int], first_row: int = 0
+    table: pa.Table | pa.RecordBatch, file: str, lines: Callable[[int], int] = lambda _row: 0, first_row: int = 0
 ) -> RawTable:
     """Columns of a pyarrow table or record batch, numbers as float64 and text as codes. `file`: for messages; `lines`:
     see `RawTable`; `first_row`: row number of the first row in the file."""
@@ -140,11 +143,23 @@ def _column(data: Any, name: str, raw: RawTable) -> ColumnData:
     number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
     if number and wanted_kind(name) != "text":
         return _floats(data)
-    if not (number or _is_text(kind)) and not pa.types.is_temporal(kind):
+    word = kind.value_type if pa.types.is_dictionary(kind) else kind
+    text = pa.types.is_string(word) or pa.types.is_large_string(word)
+    if not (number or text or pa.types.is_temporal(kind)):
         told = f"holds {kind}, neither numbers nor text"
         raw.remarks.append(Remark("format", name, told, "the column was left out", "error"))
         return np.full(len(data), np.nan)
-    labels = _labels(data)
+    data = data if text else data.cast(pa.string())
+    data = data.combine_chunks() if isinstance(data, pa.ChunkedArray) else data
+    data = data if pa.types.is_dictionary(data.type) else data.dictionary_encode()
+    floats = _floats(data.indices)
+    codes = np.asarray(np.where(np.isnan(floats), -1.0, floats), dtype=np.int64)
+    names = ["" if name is None else str(name) for name in data.dictionary.to_pylist()]
+    if "" in names:
+        empty = names.index("")
+        codes = np.asarray(np.where(codes == empty, -1, codes - (codes > empty)), dtype=np.int64)
+        names.pop(empty)
+    labels = Labels(codes, tuple(names))
     return labels if wanted_kind(name) == "text" else _maybe_numbers(labels, name, raw)
 
 
@@ -166,31 +181,9 @@ def _floats(data: Any) -> Array:
     return np.concatenate(parts) if len(parts) > 1 else (parts[0] if parts else np.empty(0))
 
 
-def _is_text(kind: Any) -> bool:
-    import pyarrow as pa
-
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
-
-
-def _labels(data: Any) -> Labels:
-    import pyarrow as pa
-
-    if not _is_text(data.type):
-        data = data.cast(pa.string())
-    if isinstance(data, pa.ChunkedArray):
-        data = data.combine_chunks()
-    if not pa.types.is_dictionary(data.type):
-        data = data.dictionary_encode()
-    floats = _floats(data.indices)
-    names = ["" if name is None else str(name) for name in data.dictionary.to_pylist()]
-    codes = np.asarray(np.where(np.isnan(floats), -1.0, floats), dtype=np.int64)
-    if "" in names:
-        empty = names.index("")
-        codes = np.asarray(np.where(codes == empty, -1, codes - (codes > empty)), dtype=np.int64)
-        names.pop(empty)
-    return Labels(codes, tuple(names))
+def numbers_of(labels: Labels, value: Callable[[str], float]) -> Array:
+    """A number for each text, NaN where it is missing."""
+    return np.asarray(np.array([*map(value, labels.names), np.nan])[labels.codes])
 
 
 def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
@@ -198,11 +191,9 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     if not labels.names:
         return np.full(len(labels), np.nan)
     if all(word.strip().lower() in _SWITCH_WORDS for word in labels.names):
-        values = np.array([*(_SWITCH_WORDS[word.strip().lower()] for word in labels.names), np.nan])
         raw.remarks.append(Remark("format", name, "words on/off or true/false", "read as 1 and 0", "note"))
-        return np.asarray(values[labels.codes])
-    values = np.array([*(_number(word) for word in labels.names), np.nan])
-    numbers = np.asarray(values[labels.codes])
+        return numbers_of(labels, lambda word: _SWITCH_WORDS[word.strip().lower()])
+    numbers = numbers_of(labels, _number)
     written = labels.codes >= 0
     bad = written & np.isnan(numbers)
     if not bad.any():
@@ -221,8 +212,7 @@ _WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:%|
 
 def numbers_in(labels: Labels) -> ColumnData:
     """Texts that hold a number and perhaps its unit (``"28.2%"``, ``"24.1 V"``) as numbers, where most do."""
-    values = np.array([*(float(m[1]) if (m := _WITH_UNIT.match(word)) else np.nan for word in labels.names), np.nan])
-    numbers = np.asarray(values[labels.codes])
+    numbers = numbers_of(labels, lambda word: float(found[1]) if (found := _WITH_UNIT.match(word)) else np.nan)
     written = labels.codes >= 0
     few = not written.any() or np.isfinite(numbers[written]).mean() < _MOSTLY_NUMBERS
     return labels if few else numbers
@@ -234,8 +224,6 @@ def _number(word: str) -> float:
     except ValueError:
         return float("nan")
 
-
-Bools = NDArray[np.bool_]
 
 _SLOW_SHARE = 0.3
 """Share of repeated neighbours above which a column may come from a slower topic."""

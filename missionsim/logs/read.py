@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from missionsim.logs.blocks import LongRun
 
 PathLike = str | os.PathLike[str]
-_SOURCES = {
-    "power": ("power_{}_w",), "voltage*current": ("voltage_{}_v", "current_{}_a"), "energy": ("energy_{}_wh",),
-}  # fmt: skip
+_SOURCES = {"power": "power_{}_w", "voltage*current": "current_{}_a", "energy": "energy_{}_wh"}
 _ELECTRIC = ("power_", "voltage_", "current_", "energy_")
 
 
@@ -205,32 +203,32 @@ def _freeze(
     own: tuple[int, int] | None,
     statistics: bool,
 ) -> Run:
-    repeated = dict(held)
+    batteries, components = (tuple(robot.batteries), tuple(robot.components)) if robot is not None else ((), ())
+    measured = {battery: battery_power(rows.columns, battery, kind) for battery, kind in kinds.items()}
+    power = {battery: watt for battery, (watt, _) in measured.items()}
     if statistics:
-        batteries, components = (tuple(robot.batteries), tuple(robot.components)) if robot is not None else ((), ())
         suspect.check_names(rows, batteries, components)
         limit = robot.body.max_speed if robot is not None else None
-        suspect.check_magnitudes(rows, None if limit is None else float(limit), kinds)
+        suspect.check_magnitudes(rows, None if limit is None else float(limit), power)
         suspect.check_agreement(rows, kinds)
         suspect.check_order(rows)
         switchable = [name for name in components if robot is not None and not robot.components[name].always_on]
         check_obstacles(rows, switchable)
-    repeated |= suspect.check_frozen(rows, held.__contains__)
-    power, fresh = {}, {}
+    repeated = suspect.check_frozen(rows, held)
+    fresh = {}
     for battery, kind in kinds.items():
-        power[battery], mask = battery_power(rows.columns, battery, kind)
+        mask = measured[battery][1]
         if kind == "energy" and mask is not None:
             told = f"the counter moves in {int(mask.sum())} of {len(mask)} rows"
             action = "power is its increment over the time since it moved before"
             rows.remark("repeated", f"energy_{battery}_wh", told, action, "note", count=int((~mask).sum()))
         # of a product the current tells: a voltage drifts between readings, or is too coarse to show them
-        fresh[battery] = repeated.get(_SOURCES[kind][-1].format(battery), mask)
-    if statistics and power:
+        fresh[battery] = repeated.get(_SOURCES[kind].format(battery), mask)
+    if statistics:
         # a part that is off, or at its full power, is no dead meter and none that is cut off
         most = max(power, key=lambda name: abs(float(power[name].mean())))
         for battery in [name for name in batteries if name in power] or [most]:
-            suspect.check_dead_meter(rows, battery, power[battery])
-            suspect.check_ceiling(rows, battery, power[battery])
+            suspect.check_meter(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:
         suspect.check_standstill(rows, next(iter(power.values())) if len(power) == 1 else None)
         check_clock(rows, power)

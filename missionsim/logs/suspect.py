@@ -5,19 +5,16 @@ Nothing is converted here: a value off by a thousand is told, and the user's map
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import did_you_mean
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import battery_power, refreshes
+from missionsim.logs.raw import Bools, refreshes
 from missionsim.physics import Array
-
-Bools = NDArray[np.bool_]
 
 _SAMPLE = 100_000
 """Rows that the statistical checks look at: one stretch from the start of the table."""
@@ -27,6 +24,11 @@ _REST_BAND = 5.0
 
 _SLOW_STEP_S = 60.0
 """A mobile robot's log has a row every few seconds at least; beyond this the times may be milliseconds."""
+
+_FORCES_N = (150.0, 20_000.0)
+"""Power over speed of cars and trucks [N]; milliwatts or millimetres are far outside."""
+_GOES_ALONG = 0.2
+"""Correlation of power and speed from which on one goes with the other (assumed)."""
 
 _RATIOS = {
     "1,000": 1e3, "1/1,000": 1e-3, "1,000,000": 1e6, "1/1,000,000": 1e-6, "3,600": 3600.0, "1/3,600": 1 / 3600.0,
@@ -56,9 +58,18 @@ def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_compone
                 rows.remark("name", name, told, action)
 
 
-def check_magnitudes(rows: Rows, max_speed_m_s: float | None, batteries: Mapping[str, str]) -> None:
+def check_magnitudes(rows: Rows, max_speed_m_s: float | None, power_w: Mapping[str, Array]) -> None:
     """Tell columns whose magnitude suggests another unit, and times whose steps do."""
-    _check_steps(rows)
+    step = np.diff(rows.time[:_SAMPLE])
+    usual = float(np.median(step)) if len(step) >= 20 else 0.0
+    if usual > _SLOW_STEP_S and float(np.quantile(step, 0.9)) < 3 * usual:  # many rows at an even pace
+        told = f"steps of {usual:.4g} s, {rows.time[-1] / 3600.0:.4g} h in all; perhaps milliseconds"
+        rows.remark("unit", "time_s", told, f"{_LEFT}: time_s: time_s / 1000")
+    speed = rows.number("speed_m_s")
+    fast = 0.0 if speed is None else float(np.quantile(np.abs(speed[:_SAMPLE]), 0.95))
+    most = max((float(np.quantile(np.abs(watt[:_SAMPLE]), 0.95)) for watt in power_w.values()), default=0.0)
+    # a great speed or power is that of a car where the force between both is one that a vehicle has
+    a_car = 5.0 < fast < 45.0 and _FORCES_N[0] < most / fast < _FORCES_N[1]
     for name, data in rows.columns.items():
         if isinstance(data, Labels) or any(r.kind == "range" and r.column == name for r in rows.remarks):
             continue
@@ -69,7 +80,7 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None, batteries: Mapping
         limit, perhaps = found[0].large, found[0].perhaps
         if name == "speed_m_s" and max_speed_m_s:
             limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
-        if large > limit and not _fits_a_vehicle(rows, name, batteries):
+        if large > limit and not (a_car and found[0].name in ("speed_m_s", "power_<battery>_w")):
             rows.remark("unit", name, f"the values reach {large:.4g} {found[0].unit}; perhaps {perhaps}", _LEFT)
         if name == "cpu_freq_hz" and 0 < large < 1e6:
             rows.remark("unit", name, f"the values reach only {large:.4g} Hz; perhaps MHz or GHz", _LEFT)
@@ -78,50 +89,34 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None, batteries: Mapping
             rows.remark("unit", name, told, _LEFT)
 
 
-def _fits_a_vehicle(rows: Rows, name: str, batteries: Mapping[str, str]) -> bool:
-    """Whether a great speed or power is that of a car: the force between both is one that a vehicle has."""
-    speed, found = rows.number("speed_m_s"), column_of(name)
-    if found is None or speed is None or found[0].name not in ("speed_m_s", "power_<battery>_w"):
-        return False
-    powers = [battery_power(rows.columns, battery, kind)[0] for battery, kind in batteries.items()]
-    fast = float(np.quantile(np.abs(speed[:_SAMPLE]), 0.95))
-    most = max((float(np.quantile(np.abs(power[:_SAMPLE]), 0.95)) for power in powers), default=0.0)
-    return 5.0 < fast < 45.0 and _FORCES_N[0] < most / max(fast, 1e-9) < _FORCES_N[1]
-
-
-_FORCES_N = (150.0, 20_000.0)
-"""Power over speed of cars and trucks [N]; milliwatts or millimetres are far outside."""
-
-
-def _check_steps(rows: Rows) -> None:
-    """Tell steps beyond a minute in a log that has many rows at an even pace."""
-    step = np.diff(rows.time[:_SAMPLE])
-    if len(step) < 20:
-        return
-    usual = float(np.median(step))
-    if usual > _SLOW_STEP_S and float(np.quantile(step, 0.9)) < 3 * usual:
-        told = f"steps of {usual:.4g} s, {rows.time[-1] / 3600.0:.4g} h in all; perhaps milliseconds"
-        rows.remark("unit", "time_s", told, f"{_LEFT}: time_s: time_s / 1000")
-
-
-def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
+def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
     """Compare what is said twice: power, V·I, energy; speed, path, acceleration; heading, yaw rate."""
     number = {name: data[:_SAMPLE] for name, data in rows.columns.items() if not isinstance(data, Labels)}
     time = number["time_s"]
     second = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))  # rows of one
+    speed = number.get("speed_m_s")
     for battery in batteries:
         power, energy = number.get(f"power_{battery}_w"), number.get(f"energy_{battery}_wh")
         volt, ampere = number.get(f"voltage_{battery}_v"), number.get(f"current_{battery}_a")
         product = volt * ampere if volt is not None and ampere is not None else None
+        watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
+        mean = 0.0 if watt is None else float(watt.mean())
         if power is not None and product is not None:
-            _ratio(rows, f"power_{battery}_w", "voltage × current", _mean(power), _mean(product))
-        if energy is not None and (power is not None or product is not None):
-            watt = power if power is not None else product
-            assert watt is not None
+            _ratio(rows, name, "voltage × current", mean, float(product.mean()))
+        if energy is not None and watt is not None:
             span = (energy[-1] - energy[0]) * 3600.0 / (time[-1] - time[0])
-            _ratio(rows, f"energy_{battery}_wh", "the sum of power", float(span), _mean(watt))
-        _sign(rows, battery, power, product, energy, ampere)
-    speed = number.get("speed_m_s")
+            _ratio(rows, f"energy_{battery}_wh", "the sum of power", float(span), mean)
+        if watt is not None and float(np.median(watt)) < 0 and mean < 0:
+            told = f"the battery seems to be charged all the time (mean {mean:.4g} W); what it delivers is positive"
+            severity = "error"
+            # power goes up with the speed, as it does not where its sign is wrong
+            moves = speed is not None and np.ptp(speed) > 0.0 and np.ptp(watt) > 0.0
+            if speed is not None and moves and np.corrcoef(np.abs(speed), watt)[0, 1] > _GOES_ALONG:
+                severity, told = "warning", f"{told}, and driving takes more: does the sun feed it? Log what does"
+            rows.remark("sign", name, told, _LEFT, severity)
+        if watt is None and energy is not None and energy[-1] < energy[0]:
+            told = "the energy falls: it should be what was delivered so far, not what is left"
+            rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
     if speed is not None and {"x_m", "y_m"} <= number.keys():
         path = float(np.hypot(np.diff(number["x_m"][::second]), np.diff(number["y_m"][::second])).sum())
         _ratio(rows, "speed_m_s", "the path of x_m, y_m", float(np.trapezoid(np.abs(speed), time)), path, loose=True)
@@ -141,10 +136,6 @@ def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
             _ratio(rows, "accel_m_s2", "the changes of speed_m_s", both / strength, 1.0, loose=True)
 
 
-def _mean(values: Array) -> float:
-    return float(values.mean())
-
-
 def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, loose: bool = False) -> None:
     if not (np.isfinite(value) and np.isfinite(reference)) or abs(reference) < 1e-9 or abs(value) < 1e-12:
         return
@@ -158,46 +149,6 @@ def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, lo
         rows.remark("unit", name, told, _LEFT, "error")
     elif not loose and not 0.8 < ratio < 1.25:
         rows.remark("disagreement", name, f"{ratio:.3g} times {other}", "left as it is")
-
-
-def _sign(
-    rows: Rows, battery: str, power: Array | None, product: Array | None, energy: Array | None, ampere: Array | None
-) -> None:
-    watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
-    if watt is not None and float(np.median(watt)) < 0 and _mean(watt) < 0:
-        told = f"the battery seems to be charged all the time (mean {_mean(watt):.4g} W); what it delivers is positive"
-        severity = "error"
-        if _rises(rows, watt):
-            severity, told = "warning", f"{told}, and driving takes more: does the sun feed it? Log what does"
-        rows.remark("sign", name, told, _LEFT, severity)
-    if watt is None and energy is not None and energy[-1] < energy[0]:
-        told = "the energy falls: it should be what was delivered so far, not what is left"
-        rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
-
-
-def _rises(rows: Rows, power_w: Array) -> bool:
-    """Whether power goes up with the speed, as it does not where its sign is wrong."""
-    speed = rows.number("speed_m_s")
-    if speed is None or not (np.ptp(speed) > 0.0 and np.ptp(power_w) > 0.0):
-        return False
-    return bool(np.corrcoef(np.abs(speed[: len(power_w)]), power_w)[0, 1] > _GOES_ALONG)
-
-
-_GOES_ALONG = 0.2
-"""Correlation of power and speed from which on one goes with the other (assumed)."""
-
-
-def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
-    """Tell a meter that shows exactly zero while the robot drives."""
-    speed = rows.number("speed_m_s")
-    if speed is None:
-        return
-    dead = (power_w == 0.0) & (np.abs(speed) > 10 * STILL_SPEED_M_S)
-    count = int(dead.sum())
-    if count > 0.02 * len(power_w) and count >= 5:
-        told = f"exactly zero in {count} rows in which the robot drives: was the meter on?"
-        action = "kept; a map with 'keep' leaves such rows out"
-        rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
 
 
 def hardly_moves(speed: Array, turning: Array) -> Bools:
@@ -216,17 +167,25 @@ _CEILING, _OFTEN, _TWICE = 5, 3, 0.1
 part of the rows in which another value may come twice running, as that of a rounded meter does (assumed)."""
 
 
-def check_ceiling(rows: Rows, battery: str, power_w: Array) -> None:
-    """Tell a meter that shows its greatest value again and again, and hardly any other twice running."""
+def check_meter(rows: Rows, battery: str, power_w: Array) -> None:
+    """Tell a meter that shows exactly zero while the robot drives, and one that shows its greatest value again and
+    again, and hardly any other twice running."""
+    name, speed, n = f"power_{battery}_w", rows.number("speed_m_s"), len(power_w)
+    dead = (power_w == 0.0) & (np.abs(speed) > 10 * STILL_SPEED_M_S) if speed is not None else np.zeros(n, dtype=bool)
+    count = int(dead.sum())
+    if count > 0.02 * n and count >= 5:
+        told = f"exactly zero in {count} rows in which the robot drives: was the meter on?"
+        action = "kept; a map with 'keep' leaves such rows out"
+        rows.remark("frozen", name, told, action, "warning", int(np.argmax(dead)), count)
     most, below = float(np.max(power_w)), power_w[power_w < np.max(power_w)]
-    count = len(power_w) - len(below)
-    if count < _CEILING or np.count_nonzero(np.diff(below) == 0.0) > _TWICE * len(power_w):
+    count = n - len(below)
+    if count < _CEILING or np.count_nonzero(np.diff(below) == 0.0) > _TWICE * n:
         return
     if count > _OFTEN * int(np.unique(below, return_counts=True)[1].max(initial=0)):
-        told = f"{count} of {len(power_w)} rows ({100 * count / len(power_w):.0f} %) are at {most:.6g} W exactly"
+        told = f"{count} of {n} rows ({100 * count / n:.0f} %) are at {most:.6g} W exactly"
         told += " and none above: the meter is cut off there, and what costs more is not seen"
         action = "kept; widen the meter's range; a map with 'keep' leaves such rows out"
-        rows.remark("ceiling", f"power_{battery}_w", told, action, "warning", int(np.argmax(power_w)), count)
+        rows.remark("ceiling", name, told, action, "warning", int(np.argmax(power_w)), count)
 
 
 def check_order(rows: Rows) -> None:
@@ -268,7 +227,9 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
         name, values, limit, unit = ("yaw_rate_rad_s", yaw, STILL_YAW_RATE_RAD_S, "rad/s")
     high = float(np.quantile(values[slow], 0.99))
     told = f"noise at rest: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g})"
-    action = f"left as it is; a map can set it to zero there: where(abs({name}) < {_round_up(high):g}, 0, {name})"
+    digit = 10.0 ** np.floor(np.log10(high))
+    limit = np.ceil(high / digit) * digit  # the next number with one digit
+    action = f"left as it is; a map can set it to zero there: where(abs({name}) < {limit:g}, 0, {name})"
     at = int(np.argmax(slow & ~still))
     rows.remark("standstill", name, f"{told} and count as driving", action, "warning", at, beyond)
 
@@ -301,29 +262,27 @@ def _rest_of_power(speed: Array, turning: Array, power_w: Array) -> Bools:
     return rest if slope + 3.0 * sd < 0.5 * (high - low) / fast else none
 
 
-def _round_up(value: float) -> float:
-    """The next number with one digit."""
-    size = 10.0 ** np.floor(np.log10(value))
-    return float(np.ceil(value / size) * size)
-
-
 _STAYS = ("time_s", "payload_kg", "temp_ambient_c", "access_point_distance_m", "cpu_freq_hz")
 """Columns that may stand for long."""
+_PLACES = ("x_m", "y_m", "heading_rad")
+"""Columns that stay where the robot stays."""
+_HUNG = 4.0
+"""A sensor that hangs stands so many times longer than ever else; a coarse one stands often."""
 
 
-def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools]:
+def check_frozen(rows: Rows, held: Mapping[str, Bools]) -> dict[str, Bools]:
     """Tell numeric columns that hang at one value, and columns repeated from a slower topic.
 
-    `fresh_of`: whether a column is already known to be held from a slower topic. Gives column → rows where it has a new
-    value, for columns that repeat or hang.
+    `held`: columns that are known to be held from a slower topic, with their new rows. Gives column → rows where it has
+    a new value, for these and for columns that repeat or hang.
     """
-    result: dict[str, Bools] = {}
-    time, none = rows.time, np.zeros(len(rows.time), dtype=bool)
-    speed = rows.number("speed_m_s")
+    result = dict(held)
+    time, speed = rows.time, rows.number("speed_m_s")
+    none = np.zeros(len(time), dtype=bool)
     parked = none if speed is None else np.abs(speed) < STILL_SPEED_M_S
     for name, data in rows.columns.items():
         found = column_of(name)
-        if isinstance(data, Labels) or found is None or found[0].kind != "number" or fresh_of(name) or len(data) < 20:
+        if isinstance(data, Labels) or found is None or found[0].kind != "number" or name in held or len(data) < 20:
             continue
         if name in _STAYS or name.startswith("energy_"):
             continue
@@ -337,37 +296,21 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
             rows.remark("repeated", name, told, "kept; each refresh counts once", "note", None, count)
             result[name] = slow.fresh
             continue
-        hung = _hung(data, parked if name in _PLACES else none, time)
-        if hung is not None:
-            first, last, fresh = hung
-            told = f"stands at {data[first]:.6g} for {time[last] - time[first]:.3g} s from {time[first]:.6g} s"
+        starts = np.flatnonzero(np.r_[True, data[1:] != data[:-1]])
+        lengths = np.diff(np.r_[starts, len(data)])
+        if len(starts) < 10 or 2 * np.count_nonzero(lengths > 1) >= len(lengths):
+            continue
+        stay = np.add.reduceat(parked if name in _PLACES else none, starts, dtype=np.int64) > 0.8 * lengths
+        counted = np.where(stay, 1, lengths)
+        longest = int(np.argmax(np.where(data[starts] == 0.0, 0, counted)))
+        second = int(np.max(np.delete(counted, np.argmax(counted))))  # partial sorts of like numbers are slow
+        first = int(starts[longest])
+        last = first + int(lengths[longest]) - 1
+        lasts_s = time[last] - time[first]
+        if counted[longest] >= max(20, _HUNG * second) and lasts_s >= 5.0 and data[first] != 0.0:
+            told = f"stands at {data[first]:.6g} for {lasts_s:.3g} s from {time[first]:.6g} s"
             told += ", although it changes in most other rows"
             rows.remark("frozen", name, told, "kept; counted once", "warning", first, last - first)
-            result[name] = fresh
+            result[name] = np.ones(len(data), dtype=bool)
+            result[name][first + 1 : last + 1] = False
     return result
-
-
-_PLACES = ("x_m", "y_m", "heading_rad")
-"""Columns that stay where the robot stays."""
-_HUNG = 4.0
-"""A sensor that hangs stands so many times longer than ever else; a coarse one stands often."""
-
-
-def _hung(data: Array, parked: Bools, time: Array) -> tuple[int, int, Bools] | None:
-    starts = np.flatnonzero(np.r_[True, data[1:] != data[:-1]])
-    if len(starts) < 10:
-        return None
-    lengths = np.diff(np.r_[starts, len(data)])
-    if 2 * np.count_nonzero(lengths > 1) >= len(lengths):
-        return None
-    stay = np.add.reduceat(parked, starts, dtype=np.int64) > 0.8 * lengths
-    counted = np.where(stay, 1, lengths)
-    longest = int(np.argmax(np.where(data[starts] == 0.0, 0, counted)))
-    first = int(starts[longest])
-    last = first + int(lengths[longest]) - 1
-    second = int(np.max(np.delete(counted, np.argmax(counted))))  # partial sorts of like numbers are slow
-    if counted[longest] < max(20, _HUNG * second) or time[last] - time[first] < 5.0 or data[first] == 0.0:
-        return None
-    fresh = np.ones(len(data), dtype=bool)
-    fresh[first + 1 : last + 1] = False
-    return first, last, fresh

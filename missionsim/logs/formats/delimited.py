@@ -5,7 +5,9 @@ from __future__ import annotations
 import codecs
 import csv
 import itertools
+import math
 import re
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,14 +33,11 @@ from missionsim.logs.readers import Options, Reader
 from missionsim.logs.times import is_stamp
 
 _BLOCK_BYTES = 1 << 22
+_MOST_FAULTS = 20
 
 
 class TextColumn(Exception):
-    """A column that began with numbers and goes on with text, after so many batches."""
-
-    def __init__(self, name: str, given: int) -> None:
-        super().__init__(name)
-        self.name, self.given = name, given
+    """A column that began with numbers and goes on with text."""
 
 
 def read_csv(path: Path, options: Options) -> RawTable:
@@ -47,28 +46,11 @@ def read_csv(path: Path, options: Options) -> RawTable:
     `options`: `typed`, `header`, `delimiter`, `wants`, and `most`: rows that suffice. Raises InputError: with line and
     column of every cell that cannot be read (the first 20, and the number of the others).
     """
-    import pyarrow as pa
+    most = options.most or math.inf
 
     def whole(file: _File) -> RawTable:
-        held, rows, words = [], 0, frozenset[str]()
-        while True:
-            try:
-                for batch in file.batches(options.wants, words):
-                    held.append(batch)
-                    rows += batch.num_rows
-                    if options.most is not None and rows >= options.most:
-                        break
-                else:
-                    file.check(rows)
-                break
-            except TextColumn as text:
-                held, rows, words = [], 0, words | {text.name}
-        raw = file.raw(pa.Table.from_batches(held, file.schema))
-        raw.remarks[:0] = file.dialect.remarks
-        raw.headless, raw.names = file.dialect.headless, file.dialect.names
-        if file.cut and (options.most is None or rows < options.most):
-            raw.remarks.append(_cut_end(raw, raw.rows))
-        elif not file.ended:
+        raw = next(file.tables(options.wants, most))
+        if not file.ended and not (file.cut and raw.rows < most):
             action = "read as it is; if the file was cut there, its last number is wrong"
             raw.remarks.append(Remark("format", "", "the last line has no end of line", action, "note"))
         return raw
@@ -83,39 +65,17 @@ def iter_csv(
     the batteries' are read as well; with `options` what they say."""
     import pyarrow as pa
 
+    def opened(file: _File) -> _File:
+        file.block_bytes = _BLOCK_BYTES // 4  # Arrow reads some thirty blocks ahead
+        next(file.batches(None), None)
+        return file
+
     options = options or Options(typed=True, wants=lambda name: columns is None or name in columns or measures(name))
-    file = _in_its_encoding(path, options, _opened)
-    words, done = frozenset[str](), 0
-
-    def table() -> RawTable:
-        raw = file.raw(pa.Table.from_batches(held), first)
-        raw.remarks[:0] = file.dialect.remarks if not first else []
-        raw.names = file.dialect.names
-        return raw
-
-    while True:
-        first, held, count = 0, [], 0
-        try:
-            for batch in file.batches(options.wants, words):
-                held.append(batch)
-                count += batch.num_rows
-                if count >= rows:
-                    raw = table()
-                    first, held, count = first + count, [], 0
-                    if first > done:
-                        done = first
-                        yield raw
-            file.check(first + count)
-            break
-        except TextColumn as text:  # begin again with it as text, without what was given already
-            words |= {text.name}
-        except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
-            raise InputError(explain(path, str(path), file.dialect, options.typed, str(error))) from None
-    if count:
-        raw = table()
-        if file.cut:
-            raw.remarks.append(_cut_end(raw, count))
-        yield raw
+    file = _in_its_encoding(path, options, opened)
+    try:
+        yield from file.tables(options.wants, rows)
+    except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
+        raise InputError(_explain(path, file.dialect, options.typed, str(error))) from None
 
 
 Result = TypeVar("Result")
@@ -125,31 +85,16 @@ def _in_its_encoding(path: Path, options: Options, use: Callable[[_File], Result
     """Read as UTF-8; where a later byte is none, and no letter beyond ASCII was, as Latin-1."""
     import pyarrow as pa
 
-    def attempt(dialect: Dialect) -> Result | Exception:
+    encoding, told = None, list[Remark]()
+    while True:
+        dialect = sniff(path, options.header, options.delimiter, options.typed, encoding)
+        dialect.remarks[:0] = told
         try:
             return use(_File(path, dialect, options.typed))
         except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
-            return error
-
-    dialect = sniff(path, str(path), options.header, options.delimiter, options.typed)
-    found = attempt(dialect)
-    if isinstance(found, Exception) and dialect.encoding == "utf-8" and text_faults(path, str(path)):
-        data = path.read_bytes()
-        if not has_utf8(data):
-            told: list[Remark] = []
+            if encoding or dialect.encoding != "utf-8" or _is_utf8(path) or has_utf8(data := path.read_bytes()):
+                raise InputError(_explain(path, dialect, options.typed, str(error))) from None
             encoding = one_byte_encoding(data, told)
-            dialect = sniff(path, str(path), options.header, options.delimiter, options.typed, encoding)
-            dialect.remarks[:0] = told
-            found = attempt(dialect)
-    if isinstance(found, Exception):
-        raise InputError(explain(path, str(path), dialect, options.typed, str(found))) from None
-    return found
-
-
-def _opened(file: _File) -> _File:
-    file.block_bytes = _BLOCK_BYTES // 4  # Arrow reads some thirty blocks ahead
-    next(file.batches(None), None)
-    return file
 
 
 class _File:
@@ -161,23 +106,64 @@ class _File:
         with open(path, "rb") as handle:
             handle.seek(-1, 2)
             self.ended = handle.read(1) in b"\r\n\0"  # UTF-16 ends in a zero byte
-        if self.cut and dialect.encoding == "utf-8" and text_faults(path, str(path)):
+        if self.cut and dialect.encoding == "utf-8" and not _is_utf8(path):
             raise UnicodeError("bad text")  # Arrow cannot tell bad text from a ragged line
         self.skipped: list[int] = []
         self.block_bytes = _BLOCK_BYTES
         self.lines = line_finder(path, dialect)
         self.schema: Any = None
 
+    def tables(self, wants: Callable[[str], bool] | None, rows: float) -> Iterator[RawTable]:
+        """Tables of at least `rows` rows; the last may be shorter."""
+        words, given = frozenset[str](), 0
+        while True:
+            first, held, count = 0, [], 0
+            try:
+                for batch in self.batches(wants, words):
+                    held.append(batch)
+                    count += batch.num_rows
+                    if count >= rows:
+                        if first + count > given:
+                            given = first + count
+                            yield self._raw(held, first)
+                        first, held, count = first + count, [], 0
+                self._check(first + count)
+                break
+            except TextColumn as text:  # begin again with it as text, without what was given already
+                words |= {str(text)}
+        if count or not given:
+            raw = self._raw(held, first)
+            if self.cut:
+                told = "the last line is cut short"
+                raw.remarks.append(Remark("format", "", told, "it was left out", "warning", raw.line(count), 1))
+            yield raw
+
     def batches(self, wants: Callable[[str], bool] | None, words: frozenset[str] = frozenset()) -> Iterator[Any]:
         """Record batches of the file, numbers as float64; `words`: columns that are read as text."""
         import pyarrow as pa
         import pyarrow.csv as arrow_csv
 
-        chosen = list(filter(wants, self.dialect.names))
-        read, parse = self._options()
+        names, encoding = self.dialect.names, self.dialect.encoding
+        chosen = list(filter(wants, names))
+        read = arrow_csv.ReadOptions(
+            column_names=list(names),
+            skip_rows=self.dialect.header_line,
+            encoding="utf8" if encoding in ("utf-8", "utf-8-sig") else encoding,
+            block_size=self.block_bytes,
+        )
 
-        def convert(types: dict[str, Any]) -> Any:
-            return arrow_csv.ConvertOptions(
+        def on_ragged(row: Any) -> str:
+            self.skipped.append(row.actual_columns)
+            return "skip"
+
+        parse = arrow_csv.ParseOptions(
+            delimiter=self.dialect.delimiter,
+            quote_char='"' if self.dialect.quoted else False,
+            invalid_row_handler=on_ragged if self.cut else None,
+        )
+
+        def opened(types: dict[str, Any]) -> Any:
+            convert = arrow_csv.ConvertOptions(
                 include_columns=chosen,
                 column_types={name: kind for name, kind in types.items() if name in chosen},
                 null_values=list(MISSING_WORDS),
@@ -186,33 +172,39 @@ class _File:
                 true_values=["true", "True", "TRUE"],
                 false_values=["false", "False", "FALSE"],
             )
+            return arrow_csv.open_csv(str(self.path), read, parse, convert)
 
         kinds = {"number": pa.float64(), "text": pa.dictionary(pa.int32(), pa.string())}
-        wanted = {name: wanted_kind(name) for name in self.dialect.names} if self.typed else {}
-        fixed = {name: kinds[kind] for name, kind in wanted.items() if kind in kinds and not self._is_stamp(name)}
+        wanted = {name: wanted_kind(name) for name in names} if self.typed else {}
+        first = dict(zip(names, self.dialect.first, strict=False)).get("time_s", "0")
+        if not is_number(first) and is_stamp(first):  # a date or a time of day
+            wanted.pop("time_s", None)
+        fixed = {name: kinds[kind] for name, kind in wanted.items() if kind in kinds}
         fixed |= dict.fromkeys(words, pa.string())
-        probe = arrow_csv.open_csv(str(self.path), read, parse, convert(fixed)).schema
+        probe = opened(fixed).schema
         # the streaming reader fixes types from its first block: whole numbers there may be fractions later
         loose = {f.name: pa.float64() for f in probe if pa.types.is_integer(f.type) or pa.types.is_null(f.type)}
         self.skipped.clear()
-        given = 0
         try:
-            reader = arrow_csv.open_csv(str(self.path), read, parse, convert({**loose, **fixed}))
+            reader = opened({**loose, **fixed})
             self.schema = reader.schema
-            for batch in reader:
-                given += 1
-                yield batch
+            yield from reader
         except pa.ArrowInvalid as error:
             found = re.search(r"In CSV column #(\d+)", str(error))
             name = chosen[int(found[1])] if found and int(found[1]) < len(chosen) else None
             if name is None or name in fixed:
                 raise
-            raise TextColumn(name, given) from None
+            raise TextColumn(name) from None
 
-    def raw(self, table: Any, first_row: int = 0) -> RawTable:
-        """The table's columns. A label that begins with the word none (no payload) is not missing where it says so."""
-        raw = from_arrow(table, str(self.path), self.lines, first_row)
-        for name, word in zip(self.dialect.names, self.dialect.first, strict=False):
+    def _raw(self, batches: list[Any], first_row: int) -> RawTable:
+        """Columns of batches. A label that begins with the word none (no payload) is not missing where it says so."""
+        import pyarrow as pa
+
+        dialect = self.dialect
+        raw = from_arrow(pa.Table.from_batches(batches, self.schema), str(self.path), self.lines, first_row)
+        raw.remarks[:0] = dialect.remarks if not first_row else []
+        raw.headless, raw.names = dialect.headless, dialect.names
+        for name, word in zip(dialect.names, dialect.first, strict=False):
             if word == "none" and wanted_kind(name) != "number" and (data := raw.columns.get(name)) is not None:
                 if isinstance(data, Labels):
                     codes = np.where(data.codes < 0, len(data.names), data.codes)
@@ -221,13 +213,7 @@ class _File:
                     raw.columns[name] = Labels(np.zeros(len(data), dtype=np.int64), (word,))
         return raw
 
-    def _is_stamp(self, name: str) -> bool:
-        """Whether a column of times begins with no number: a date or a time of day."""
-        at = self.dialect.names.index(name)
-        first = self.dialect.first
-        return name == "time_s" and at < len(first) and not is_number(first[at]) and is_stamp(first[at])
-
-    def check(self, rows: int) -> None:
+    def _check(self, rows: int) -> None:
         """ArrowInvalid where rows of the file are not in the table: an open quotation mark swallows what follows."""
         import pyarrow as pa
 
@@ -237,57 +223,27 @@ class _File:
                 "rows are lost in it: a quotation mark that does not end, or rows of the wrong length"
             )
 
-    def _options(self) -> tuple[Any, Any]:
-        """Options of Arrow's reader; where the end is cut, rows of the wrong length are left out and noted."""
-        import pyarrow.csv as arrow_csv
 
-        def on_ragged(row: Any) -> str:
-            self.skipped.append(row.actual_columns)
-            return "skip"
-
-        utf8 = self.dialect.encoding in ("utf-8", "utf-8-sig")
-        return arrow_csv.ReadOptions(
-            column_names=list(self.dialect.names),
-            skip_rows=self.dialect.header_line,
-            encoding="utf8" if utf8 else self.dialect.encoding,
-            block_size=self.block_bytes,
-        ), arrow_csv.ParseOptions(
-            delimiter=self.dialect.delimiter,
-            quote_char='"' if self.dialect.quoted else False,
-            invalid_row_handler=on_ragged if self.cut else None,
-        )
-
-
-def _cut_end(raw: RawTable, row: int) -> Remark:
-    return Remark("format", "", "the last line is cut short", "it was left out", "warning", raw.line(row), 1)
-
-
-READERS = (
-    Reader("csv", "text table", (".csv", ".tsv"), table=read_csv, blocks=iter_csv, loose=(".txt", ".dat", ".log")),
-)
-
-
-_MOST_FAULTS = 20
-
-
-def explain(path: Path, file: str, dialect: Dialect, typed: bool, reason: str) -> list[Fault]:
+def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fault]:
     """Find by a slow second reading what stopped the fast one: each bad cell with line and column."""
+    file, rows, more = str(path), 0, 0
     faults: list[Fault] = []
-    more = 0
-    rows = 0
     try:
         with open(path, encoding=dialect.encoding, newline="") as handle:
             for number, line in itertools.islice(enumerate(handle, start=1), dialect.header_line, None):
-                if not line.strip():
-                    continue
-                rows += 1
-                for fault in _line_faults(line.rstrip("\r\n"), number, file, dialect, typed):
-                    if len(faults) < _MOST_FAULTS:
-                        faults.append(fault)
-                    else:
-                        more += 1
+                rows += bool(line.strip())
+                found = list(_line_faults(line.rstrip("\r\n"), number, file, dialect, typed)) if line.strip() else []
+                more += len(found[_MOST_FAULTS - len(faults) :])
+                faults += found[: _MOST_FAULTS - len(faults)]
     except UnicodeError as error:
-        return [_bad_text(path, file, error)]
+        data, start = path.read_bytes(), getattr(error, "start", 0)
+        try:
+            data.decode("utf-8")
+        except UnicodeDecodeError as exact:
+            start = exact.start
+        column, allowed = start - data.rfind(b"\n", 0, start), "UTF-8 (or UTF-16 with its mark)"
+        told = "a byte that is not UTF-8 text"
+        return [Fault(file, data.count(b"\n", 0, start) + 1, column, told, allowed=allowed)]
     if not rows:
         return [Fault(file, dialect.header_line, 1, "there is a header but no rows", allowed="at least two rows")]
     if more:
@@ -321,28 +277,16 @@ def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: boo
             yield Fault(file, number, at, "this is not a number", name, word[:40] or "''", allowed)
 
 
-def text_faults(path: Path, file: str) -> list[Fault]:
-    """A fault where a byte of the file is not UTF-8, else nothing; in bounded memory."""
-    decoder = codecs.getincrementaldecoder("utf-8")()
+def _is_utf8(path: Path) -> bool:
+    """Whether every byte of a file is; in bounded memory."""
     with open(path, "rb") as handle:
-        while True:
-            block = handle.read(1 << 22)
-            try:
-                decoder.decode(block, final=not block)
-            except UnicodeDecodeError as error:
-                return [_bad_text(path, file, error)]
-            if not block:
-                return []
+        try:
+            deque(codecs.iterdecode(iter(lambda: handle.read(_BLOCK_BYTES), b""), "utf-8"), maxlen=0)
+        except UnicodeDecodeError:
+            return False
+    return True
 
 
-def _bad_text(path: Path, file: str, error: UnicodeError) -> Fault:
-    data = path.read_bytes()
-    start = getattr(error, "start", 0)
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    try:
-        decoder.decode(data, True)
-    except UnicodeDecodeError as exact:
-        start = exact.start
-    line = data.count(b"\n", 0, start) + 1
-    column = start - (data.rfind(b"\n", 0, start) + 1) + 1
-    return Fault(file, line, column, "a byte that is not UTF-8 text", allowed="UTF-8 (or UTF-16 with its mark)")
+READERS = (
+    Reader("csv", "text table", (".csv", ".tsv"), table=read_csv, blocks=iter_csv, loose=(".txt", ".dat", ".log")),
+)

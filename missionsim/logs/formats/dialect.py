@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import collections
 import csv
+import functools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -49,7 +50,15 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
     """
     end = min(len(lines), start + 300)
     for mark in (delimiter,) if delimiter else (";", "\t", ",", "|"):
-        shapes = {i: _shape(cells_of(lines[i], mark)) for i in range(start, end) if lines[i].strip()}
+        # one letter a cell: ``1`` a number or a time, ``0`` nothing, ``a`` a text
+        shapes = {
+            i: "".join(
+                "0" if cell in MISSING_WORDS else "1" if is_number(cell.replace(",", ".")) or is_stamp(cell) else "a"
+                for cell in cells_of(lines[i], mark)
+            )
+            for i in range(start, end)
+            if lines[i].strip()
+        }
         if len(shapes) < 4:
             continue
         width = collections.Counter(map(len, shapes.values())).most_common(1)[0][0]
@@ -63,28 +72,13 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
         above = [i for i in shapes if i < rows[0] and len(shapes[i]) == width and "1" not in shapes[i]]
         if not above or above[-1] != max(i for i in shapes if i < rows[0]):
             continue
-        last = above[-1]
-        units = len(above) > 1 and _are_units(cells_of(lines[last], mark))
-        names = above[-2] if units else last
+        # the last line above the rows may hold units: in brackets, or mostly ones that loggers write
+        told = list(filter(None, cells_of(lines[above[-1]], mark)))
+        units = all(text[0] in "[(" and text[-1] in "])" for text in told)
+        units |= sum(text in _UNITS for text in told) >= 0.5 * len(told)
+        names = above[-2] if len(above) > 1 and told and units else above[-1]
         return None if (names, rows[0]) == (start, start + 1) else (names, rows[0], mark)
     return None
-
-
-def _shape(cells: Sequence[str]) -> str:
-    """One letter a cell: ``1`` a number or a time, ``0`` nothing, ``a`` a text."""
-    return "".join(
-        "0" if cell in MISSING_WORDS else "1" if is_number(cell.replace(",", ".")) or is_stamp(cell) else "a"
-        for cell in cells
-    )
-
-
-def _are_units(texts: Sequence[str]) -> bool:
-    """Whether the cells of a line are units: in brackets, or mostly ones that loggers write."""
-    told = [text for text in texts if text]
-    return bool(told) and (
-        all(text[0] in "[(" and text[-1] in "])" for text in told)
-        or sum(text in _UNITS for text in told) >= 0.5 * len(told)
-    )
 
 
 def named_in_comment(line: str, delimiter: str, count: int) -> tuple[str, ...]:
@@ -126,7 +120,6 @@ class Dialect:
 
 def sniff(
     path: Path,
-    file: str,
     header: Sequence[str] = (),
     delimiter: str | None = None,
     typed: bool = True,
@@ -134,11 +127,12 @@ def sniff(
 ) -> Dialect:
     """Read the start of a text table and find out how it is written.
 
-    `path`, `file`: the file, and its name in messages; `header`: names of the columns of a file that has no header
+    `header`: names of the columns of a file that has no header
     line; `delimiter`, `encoding`: where they are known; `typed`: whether the file has to be a log: a header, and names
     of the glossary once. Raises InputError: empty, binary, without a header, or with a header that names a column of
     the glossary twice.
     """
+    file = str(path)
     with open(path, "rb") as handle:
         head = handle.read(_HEAD_BYTES)
     if not head.strip():
@@ -288,19 +282,16 @@ def _decimal(body: list[str], delimiter: str) -> str:
 def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
     """Function from row number (0-based, -1 the header) to line number (1-based); empty lines hold no row."""
 
-    blank: list[int] | None = None
+    @functools.cache
+    def blank() -> list[int]:  # once, and only where a line is asked for
+        if not _may_have_blank_lines(path, dialect):
+            return []
+        with open(path, encoding=dialect.encoding, errors="replace") as handle:
+            return [n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip()]
 
     def line_of(row: int) -> int:
-        nonlocal blank
-        if row < 0:
-            return dialect.header_line
-        if blank is None:  # once, and only where a line is asked for
-            blank = []
-            if _may_have_blank_lines(path, dialect):
-                with open(path, encoding=dialect.encoding, errors="replace") as handle:
-                    blank += [n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip()]
         line = dialect.header_line + 1 + row
-        for empty in blank:
+        for empty in blank() if row >= 0 else ():
             if empty > line:
                 break
             line += 1
