@@ -99,10 +99,10 @@ def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
         power, energy = number.get(f"power_{battery}_w"), number.get(f"energy_{battery}_wh")
         volt, ampere = number.get(f"voltage_{battery}_v"), number.get(f"current_{battery}_a")
         product = volt * ampere if volt is not None and ampere is not None else None
-        watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
+        watt, column = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
         mean = 0.0 if watt is None else float(watt.mean())
         if power is not None and product is not None:
-            _ratio(rows, name, "voltage × current", mean, float(product.mean()))
+            _ratio(rows, column, "voltage × current", mean, float(product.mean()))
         if energy is not None and watt is not None:
             span = (energy[-1] - energy[0]) * 3600.0 / (time[-1] - time[0])
             _ratio(rows, f"energy_{battery}_wh", "the sum of power", float(span), mean)
@@ -113,7 +113,7 @@ def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
             moves = speed is not None and np.ptp(speed) > 0.0 and np.ptp(watt) > 0.0
             if speed is not None and moves and np.corrcoef(np.abs(speed), watt)[0, 1] > _GOES_ALONG:
                 severity, told = "warning", f"{told}, and driving takes more: does the sun feed it? Log what does"
-            rows.remark("sign", name, told, _LEFT, severity)
+            rows.remark("sign", column, told, _LEFT, severity)
         if watt is None and energy is not None and energy[-1] < energy[0]:
             told = "the energy falls: it should be what was delivered so far, not what is left"
             rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
@@ -228,8 +228,8 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     high = float(np.quantile(values[slow], 0.99))
     told = f"noise at rest: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g})"
     digit = 10.0 ** np.floor(np.log10(high))
-    limit = np.ceil(high / digit) * digit  # the next number with one digit
-    action = f"left as it is; a map can set it to zero there: where(abs({name}) < {limit:g}, 0, {name})"
+    round_up = np.ceil(high / digit) * digit  # to one digit
+    action = f"left as it is; a map can set it to zero there: where(abs({name}) < {round_up:g}, 0, {name})"
     at = int(np.argmax(slow & ~still))
     rows.remark("standstill", name, f"{told} and count as driving", action, "warning", at, beyond)
 

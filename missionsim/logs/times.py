@@ -102,16 +102,20 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
         whole = Stamps(date.seconds + clock.seconds, "local", f"{date.form} and {clock.form} in two columns")
     elif whole.kind == "date":
         raise TimeError("dates without a time of day; name both columns: [date, time]")
-    remarks: list[Remark] = []
-    if whole.kind == "day":
-        whole.seconds = _past_midnight(whole.seconds, name, remarks)
-    if whole.kind == "local" and zone is not None:
-        whole = Stamps(_in_zone(whole.seconds, zone), "utc", f"{whole.form}, {zone}")
+    known = np.isfinite(whole.seconds)
+    values = whole.seconds[known]
+    if whole.kind == "day" and (back := np.diff(values, prepend=values[:1]) < -0.5 * _DAY_S).any():
+        values = values + _DAY_S * np.cumsum(back)
+        message = f"the time of day passes midnight {int(back.sum())} times"
+        whole.remarks.append(Remark("clock", name, message, "a day was added each time", "note"))
+    elif whole.kind == "local" and zone is not None:
+        whole, values = Stamps(whole.seconds, "utc", f"{whole.form}, {zone}"), _in_zone(values, zone)
     elif whole.kind == "local":
-        whole.seconds = _clock_changes(whole.seconds, name, remarks)
+        values = _clock_changes(values, name, whole.remarks)
     if whole.kind != "own":
-        remarks.insert(0, Remark("clock", name, f"recognised as {whole.form}", "read as seconds", "note"))
-    whole.remarks = remarks
+        whole.seconds = whole.seconds.copy()
+        whole.seconds[known] = values
+        whole.remarks.insert(0, Remark("clock", name, f"recognised as {whole.form}", "read as seconds", "note"))
     return whole
 
 
@@ -169,23 +173,19 @@ class TimeAxis:
                 raw.remarks += found.remarks
             found.seconds = found.seconds + (self.days - self.start)
             self.last = float(known[-1]) + self.days
-        raw.columns["time_s"] = self._without_jumps(found.seconds, raw.remarks)
-
-    def _without_jumps(self, seconds: Array, remarks: list[Remark]) -> Array:
-        """Times without jumps, also between this block and the one before."""
-        known = np.isfinite(seconds)
-        if not known.any():
-            return seconds
-        if self.usual is None and known.sum() > 2:
-            self.usual = float(np.median(np.abs(np.diff(seconds[known]))))
-        before = [] if self.end is None else [self.end]
-        values = seconds[known] - self.taken_out
-        closed = close_jumps(np.r_[before, values], remarks, self.usual)[len(before) :]
-        self.taken_out += float(values[-1] - closed[-1])
-        self.end = float(closed[-1])
-        result = seconds.copy()
-        result[known] = closed
-        return result
+        seconds = found.seconds.copy()
+        finite = np.isfinite(seconds)
+        known = seconds[finite]
+        if len(known):  # without jumps, also between this block and the one before
+            if self.usual is None and len(known) > 2:
+                self.usual = float(np.median(np.abs(np.diff(known))))
+            before = [] if self.end is None else [self.end]
+            known = known - self.taken_out
+            closed = close_jumps(np.r_[before, known], raw.remarks, self.usual)[len(before) :]
+            self.taken_out += float(known[-1] - closed[-1])
+            self.end = float(closed[-1])
+            seconds[finite] = closed
+        raw.columns["time_s"] = seconds
 
 
 def _numbers(values: Array) -> Stamps:
@@ -204,7 +204,13 @@ def _texts(labels: Labels) -> Stamps:
     texts = pd.Series([_in_numbers(text.strip()) for text in labels.names], dtype="object")
     sample = next(iter(texts), "")
     if _DAY.match(sample):
-        kind, form, values = "day", "a time of day", _times_of_day(texts)
+        kind, form = "day", "a time of day"
+        if texts.str.contains("[AP]M", case=False, regex=True).any():
+            dates = pd.to_datetime("2000-01-01 " + texts, format="mixed", errors="coerce", utc=True)
+            values = _seconds(dates) - 946684800.0
+        else:
+            full = texts.str.replace(",", ".").where(texts.str.count(":") > 1, texts + ":00")
+            values = np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
     elif _ISO.match(sample):
         zoned = re.search(rf"\d{_ZONE}\Z", sample, re.IGNORECASE) is not None and ":" in sample
         kind = "utc" if zoned else "local" if re.search(r"\d[T _]+\d", sample, re.IGNORECASE) else "date"
@@ -232,17 +238,6 @@ def _seconds(times: object) -> Array:
     return np.where(series.isna().to_numpy(), np.nan, whole)
 
 
-def _times_of_day(texts: object) -> Array:
-    import pandas as pd
-
-    series = pd.Series(texts)
-    if series.str.contains("[AP]M", case=False, regex=True).any():
-        dates = pd.to_datetime("2000-01-01 " + series, format="mixed", errors="coerce", utc=True)
-        return _seconds(dates) - 946684800.0
-    full = series.str.replace(",", ".").where(series.str.count(":") > 1, series + ":00")
-    return np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
-
-
 def _dated(texts: object) -> tuple[str, str, Array]:
     """Day first or month first: the one that every date fits, and then the one that spans less time."""
     import pandas as pd
@@ -268,31 +263,15 @@ def _dated(texts: object) -> tuple[str, str, Array]:
     return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values
 
 
-def _past_midnight(seconds: Array, name: str, remarks: list[Remark]) -> Array:
-    """Times of day that go on after midnight."""
-    known = np.isfinite(seconds)
-    values = seconds[known]
-    back = np.r_[False, np.diff(values) < -0.5 * _DAY_S]
-    if not back.any():
-        return seconds
-    result = seconds.copy()
-    result[known] = values + _DAY_S * np.cumsum(back)
-    message = f"the time of day passes midnight {int(back.sum())} times"
-    remarks.append(Remark("clock", name, message, "a day was added each time", "note"))
-    return result
-
-
-def _clock_changes(seconds: Array, name: str, remarks: list[Remark]) -> Array:
+def _clock_changes(values: Array, name: str, remarks: list[Remark]) -> Array:
     """Local times over a night in which clocks change: the hour that stands twice or not at all is put right.
 
     Back: a jump by one hour into an hour of the night. Forward: a Sunday's step from before a full hour of the night to
     after the next one. Both with the usual step beside the hour.
     """
-    known = np.flatnonzero(np.isfinite(seconds))
-    values = seconds[known]
     step = np.diff(values)
     if len(step) < 3:
-        return seconds
+        return values
     usual = max(float(np.median(np.abs(step))), 1e-6)
     near = max(5 * usual, 2.0)
     hour = (values[1:] % _DAY_S) / _HOUR
@@ -301,15 +280,12 @@ def _clock_changes(seconds: Array, name: str, remarks: list[Remark]) -> Array:
     full = np.round(values[:-1] / _HOUR) * _HOUR
     forward = (np.abs(step - _HOUR) <= near) & (hour < 4.0) & sunday & (np.abs(full - values[:-1]) <= near)
     if not (back.any() or forward.any()):
-        return seconds
-    shift = np.cumsum(np.r_[0.0, _HOUR * back - _HOUR * forward])
-    result = seconds.copy()
-    result[known] = values + shift
+        return values
     way = "back" if back.any() else "forward"
     told = f"local time jumps {way} by one hour at night: the clocks were changed"
     action = "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed"
     remarks.append(Remark("clock", name, told, action, "warning", 0, int(back.sum() + forward.sum())))
-    return result
+    return np.asarray(values + np.cumsum(np.r_[0.0, _HOUR * back - _HOUR * forward]))
 
 
 def _in_zone(seconds: Array, zone: str) -> Array:
@@ -319,8 +295,7 @@ def _in_zone(seconds: Array, zone: str) -> Array:
     if match := re.fullmatch(r"(?:UTC)?([+-])(\d{1,2})(?::?(\d{2}))?", zone.strip()):
         offset = int(match[2]) * _HOUR + int(match[3] or 0) * 60.0
         return seconds - (offset if match[1] == "+" else -offset)
-    known = np.isfinite(seconds)
-    wall = pd.DatetimeIndex(np.round(seconds[known] * 1e9).astype("int64").astype("datetime64[ns]"))
+    wall = pd.DatetimeIndex(np.round(seconds * 1e9).astype("int64").astype("datetime64[ns]"))
     try:
         times = wall.tz_localize(zone, ambiguous="infer", nonexistent="raise")
     except (KeyError, LookupError, TypeError) as error:
@@ -333,6 +308,4 @@ def _in_zone(seconds: Array, zone: str) -> Array:
             f"in {zone} the clocks change within these times and they do not say on which side they are ({reason}); "
             "give the offset in place of the zone: +02:00"
         ) from None
-    result = seconds.copy()
-    result[known] = _seconds(pd.Series(times.tz_convert(None)))
-    return result
+    return _seconds(times.tz_convert(None))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.files import needed, unreadable
-from missionsim.logs.formats.jsonlines import column
+from missionsim.logs.formats.jsonlines import columns_of
 from missionsim.logs.raw import ColumnData, Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 
@@ -47,7 +47,19 @@ def read_ulog(path: Path, options: Options) -> Recording:
             if key != "timestamp" and (names is None or (name, key) in wanted)
         }
         topics[name] = Topic(name, np.asarray(stamps, dtype=np.float64) * 1e-6, columns, data.name, len(stamps))
-    return Recording(list(topics.values()), _ulog_remarks(log, path, said.getvalue()))
+    remarks = []
+    whole, size = _whole_bytes(path)
+    if whole != size:
+        share = 100.0 * (size - whole) / size
+        told = f"from byte {whole:,} of {size:,} on ({share:.2g} % of the file) its messages are cut or broken"
+        remarks.append(damaged(told))
+    elif log.file_corruption or said.getvalue().strip():
+        remarks.append(damaged(f"part of it is corrupt ({said.getvalue().strip()[:80]})"))
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+        message = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s together"
+        remarks.append(Remark("gap", "", message, "the values before were held", "warning", 0, len(log.dropouts)))
+    return Recording(list(topics.values()), remarks)
 
 
 def _whole_bytes(path: Path) -> tuple[int, int]:
@@ -61,21 +73,6 @@ def _whole_bytes(path: Path) -> tuple[int, int]:
                 break
             at += 3 + length
     return at, size
-
-
-def _ulog_remarks(log: Any, path: Path, said: str) -> list[Remark]:
-    remarks = []
-    whole, size = _whole_bytes(path)
-    if whole != size or log.file_corruption or said.strip():
-        share = 100.0 * (size - whole) / size
-        where = f"from byte {whole:,} of {size:,} on ({share:.2g} % of the file) its messages are cut or broken"
-        message = where if whole != size else f"part of it is corrupt ({said.strip()[:80]})"
-        remarks.append(damaged(message))
-    if log.dropouts:
-        lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-        message = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s together"
-        remarks.append(Remark("gap", "", message, "the values before were held", "warning", 0, len(log.dropouts)))
-    return remarks
 
 
 _ENDLESS = re.compile(rb"\xa3\x95\x80.[\x00-\x02]", re.DOTALL)
@@ -107,13 +104,20 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
             contextlib.closing(reader.DFReader_binary(file, zero_time_base=True)) as log,
         ):
             held, counts = _messages(log, wanted, options.most)
-            lost = _lost(log)
-    topics = []
-    for name, (times, rows) in sorted(held.items()):
-        fields = dict.fromkeys(field for row in rows for field in row)
-        columns = {field: column([row.get(field) for row in rows]) for field in fields}
-        topics.append(Topic(name, np.array(times), columns, name.partition("[")[0], counts[name]))
-    return Recording(topics, _dataflash_remarks(lost, said.getvalue()))
+            size = log.data_len
+            tail = log.data_map[max(0, size - 4096) : size]
+            filled = len(tail) - len(tail.rstrip(tail[-1:])) if tail[-1:] in (b"\0", b"\xff") else 0  # the last page
+            used = sum(count * log.formats[kind].len for kind, count in enumerate(log.counts) if kind in log.formats)
+    lost = 0 if 0 <= size - used <= filled else abs(size - used)
+    remarks, first = [], said.getvalue().strip().partition("\n")[0][:80]
+    if lost or first:
+        told = f"{lost:,} of {size:,} bytes belong to no whole message"
+        remarks.append(damaged(told + (f" ({first})" if first else "")))
+    topics = [
+        Topic(name, np.array(times), columns_of(rows), name.partition("[")[0], counts[name])
+        for name, (times, rows) in sorted(held.items())
+    ]
+    return Recording(topics, remarks)
 
 
 def _messages(
@@ -140,24 +144,6 @@ def _messages(
         values = {field: getattr(message, field) for field in fields if wanted is None or field in wanted[name]}
         rows.append({field: value for field, value in values.items() if isinstance(value, (int, float, str))})
     return held, counts
-
-
-def _lost(log: Any) -> tuple[int, int]:
-    """Bytes that belong to no message, and all bytes; what fills the last page does not count."""
-    size = log.data_len
-    tail = log.data_map[max(0, size - 4096) : size]
-    filled = len(tail) - len(tail.rstrip(tail[-1:])) if tail[-1:] in (b"\0", b"\xff") else 0
-    used = sum(count * log.formats[kind].len for kind, count in enumerate(log.counts) if count and kind in log.formats)
-    lost = size - used
-    return (0 if 0 <= lost <= filled else abs(lost)), size
-
-
-def _dataflash_remarks(lost: tuple[int, int], said: str) -> list[Remark]:
-    if not lost[0] and not said.strip():
-        return []
-    message = f"{lost[0]:,} of {lost[1]:,} bytes belong to no whole message"
-    first = said.strip().partition("\n")[0][:80]
-    return [damaged(message + (f" ({first})" if first else ""))]
 
 
 READERS = (

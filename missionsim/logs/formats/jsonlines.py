@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +37,17 @@ def read_json(path: Path, options: Options) -> Recording:
     lines = 0
     for record in _records(path, faults):
         lines += 1
-        topic, serial, flat = _message(record)
-        held.setdefault((topic, serial), []).append(flat)
+        named, vehicle = record.get("topic"), "serialNumber" in record
+        topic = named if isinstance(named, str) else ""
+        inner = next((record[key] for key in _INSIDE if isinstance(record.get(key), dict)), None)
+        if inner is not None and topic:
+            times = {key: record[key] for key in record if key in _TIMES and not isinstance(record[key], (dict, list))}
+            record = {**times, **inner}
+            vehicle = "serialNumber" in record
+        if not topic and vehicle and "headerId" in record:
+            topic = "state"
+        topic = (topic.strip("/").rpartition("/")[2] if vehicle else topic.strip("/")) or "json"
+        held.setdefault((topic, str(record.get("serialNumber", ""))), []).append(dict(flat(record, "")))
         if options.most is not None and lines >= 4 * options.most:
             break
     if not held:
@@ -82,20 +91,6 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
             yield record
 
 
-def _message(record: dict[str, Any]) -> tuple[str, str, dict[str, Any]]:
-    """Topic, vehicle and flat fields of a message."""
-    named = record.get("topic")
-    topic = named if isinstance(named, str) else ""
-    inner = next((record[key] for key in _INSIDE if isinstance(record.get(key), dict)), None)
-    if inner is not None and topic:
-        times = {key: value for key, value in record.items() if key in _TIMES and not isinstance(value, (dict, list))}
-        record = {**times, **inner}
-    if not topic and "serialNumber" in record and "headerId" in record:
-        topic = "state"
-    topic = topic.strip("/").rpartition("/")[2] if "serialNumber" in record else topic.strip("/")
-    return topic or "json", str(record.get("serialNumber", "")), dict(flat(record, ""))
-
-
 def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
     """Leaves of a JSON value by their paths: ``key.inner[0]``."""
     if isinstance(value, dict):
@@ -123,11 +118,7 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
         if lost:
             message = f"{lost} messages of {name} are missing: their numbers (headerId) jump"
             remarks.append(damaged(message, lost))
-    columns: dict[str, ColumnData] = {}
-    for field in dict.fromkeys(field for message in messages for field in message):
-        if field != key and options.fields is not None and f"{name}.{field}" not in options.fields:
-            continue
-        columns[field] = column([message.get(field) for message in messages])
+    columns = columns_of(messages, None if options.fields is None else {f"{name}.{key}", *options.fields}, name)
     try:
         stamps = read_stamps([columns.pop(key)], f"{name}.{key}")
     except TimeError as error:
@@ -140,18 +131,25 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     )
 
 
-def column(values: Sequence[str | float | None]) -> ColumnData:
-    """Values of one field as a column: numbers, nan where missing, or texts."""
-    if any(isinstance(value, str) for value in values):
-        return numbers_in(Labels.of(value if isinstance(value, str) else _plain(value) for value in values))
-    return np.array([np.nan if value is None else _finite(value) for value in values], dtype=np.float64)
+def columns_of(
+    messages: Sequence[Mapping[str, Any]], wanted: Collection[str] | None = None, topic: str = ""
+) -> dict[str, ColumnData]:
+    """Each field of the messages of a topic as a column: numbers, NaN where missing, or texts. `wanted`: fields, as
+    ``topic.field``; all by default."""
+    columns: dict[str, ColumnData] = {}
+    for field in dict.fromkeys(itertools.chain.from_iterable(messages)):
+        if wanted is not None and f"{topic}.{field}" not in wanted:
+            continue
+        values = [message.get(field) for message in messages]
+        if any(isinstance(value, str) for value in values):
+            texts = (f"{value:g}" if isinstance(value, (int, float)) else value for value in values)
+            columns[field] = numbers_in(Labels.of(texts))
+        else:
+            columns[field] = np.array([np.nan if value is None else _finite(value) for value in values])
+    return columns
 
 
-def _plain(value: Any) -> str | None:
-    return None if value is None else f"{value:g}"
-
-
-def _finite(value: str | float) -> float:
+def _finite(value: float) -> float:
     try:
         return float(value)
     except OverflowError:
@@ -194,10 +192,14 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
         raise InputError.single(told, file=str(path), got=got, allowed="a whole file") from None
     if not counts:
         return None
-    topics = []
-    for topic, (title, times, messages) in held.items():
-        names = dict.fromkeys(name for message in messages for name in message)
-        chosen = [name for name in names if options.fields is None or f"{topic}.{name}" in options.fields]
-        columns = {name: column([message.get(name) for message in messages]) for name in chosen}
-        topics.append(Topic(topic, np.asarray(times, dtype=np.int64) / 1e9, columns, title, counts[topic]))
+    topics = [
+        Topic(
+            topic,
+            np.asarray(times, dtype=np.int64) / 1e9,
+            columns_of(messages, options.fields, topic),
+            title,
+            counts[topic],
+        )
+        for topic, (title, times, messages) in held.items()
+    ]
     return Recording(topics)

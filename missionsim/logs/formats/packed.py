@@ -7,6 +7,7 @@ the same lengths are an array of records, of which numpy takes columns: ten time
 from __future__ import annotations
 
 import array
+import functools
 import re
 from collections import defaultdict
 from collections.abc import Collection, Mapping
@@ -50,7 +51,7 @@ class Layout:
     have this layout.
     """
 
-    def __init__(self, types: Types, kind: str, data: bytes, cdr: bool) -> None:
+    def __init__(self, types: Types, kind: str, cdr: bool, data: bytes) -> None:
         if cdr and data[:2] not in (b"\0\0", b"\0\1"):
             raise Unfit
         self._types, self._data, self._cdr = types, data, cdr
@@ -59,7 +60,10 @@ class Layout:
         self._found: dict[str, tuple[int, np.dtype[Any], int]] = {}
         self._names: list[str] = []
         self.same = [(0, self._at)] if cdr else []
-        self._message(kind, "")
+        try:
+            self._message(kind, "")
+        except KeyError:  # a type that the bag does not define
+            raise Unfit from None
         if not 0 <= len(data) - self._at <= (3 if cdr else 0):
             raise Unfit
 
@@ -78,11 +82,16 @@ class Layout:
 
     def _field(self, description: tuple[Any, Any], path: str) -> None:
         node, inner = description
-        if node == _BASE:
-            if inner[0] == "string":
-                self._text(path)
-            else:
-                self._numbers(inner[0], 1, path)
+        if node == _BASE and inner[0] == "string":
+            length = self._length()
+            begin, self._at = self._at, self._at + length
+            if self._at > len(self._data):
+                raise Unfit
+            if path.startswith("name["):  # joints may change places
+                self.same.append((begin, self._at))
+                self._names.append(self._data[begin : self._at].rstrip(b"\0").decode(errors="replace"))
+        elif node == _BASE:
+            self._numbers(inner[0], 1, path)
         elif node == _MESSAGE:
             self._message(inner, f"{path}.")
         else:
@@ -95,15 +104,6 @@ class Layout:
                     self._field(element, f"{path}[{index}]")
             else:
                 raise Unfit  # messages in a list: hardly two are alike
-
-    def _text(self, path: str) -> None:
-        length = self._length()
-        begin, self._at = self._at, self._at + length
-        if self._at > len(self._data):
-            raise Unfit
-        if path.startswith("name["):  # joints may change places
-            self.same.append((begin, self._at))
-            self._names.append(self._data[begin : self._at].rstrip(b"\0").decode(errors="replace"))
 
     def _numbers(self, kind: str, count: int, path: str) -> None:
         if kind not in _SIZES:
@@ -176,7 +176,8 @@ class Batch:
 
     def __init__(self, types: Types, kind: str, fields: Collection[str], cdr: bool, held: Held) -> None:
         self.held, self.broken = held, 0
-        self._types, self._kind, self._fields, self._cdr = types, kind, tuple(fields), cdr
+        self._layout = functools.partial(Layout, types, kind, cdr)
+        self._fields = tuple(fields)
         self._first = True
         self._data: list[bytes] = []
         self._received: list[int] = []
@@ -238,9 +239,3 @@ class Batch:
         )
         self.broken += int((~whole).sum())
         self._data, self._received, self._bytes = [], [], 0
-
-    def _layout(self, data: bytes) -> Layout:
-        try:
-            return Layout(self._types, self._kind, data, self._cdr)
-        except KeyError:  # a type that the bag does not define
-            raise Unfit from None

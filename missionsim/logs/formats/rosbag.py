@@ -5,7 +5,7 @@ from __future__ import annotations
 import array
 import contextlib
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from functools import cache, reduce
 from operator import attrgetter, itemgetter
 from pathlib import Path
@@ -68,7 +68,12 @@ def read_bag(path: Path, options: Options) -> Recording:
         infos = {topic: info for topic, info in reader.topics.items() if wanted is None or topic in wanted}
         connections = [c for c in reader.connections if c.topic in infos]
         seen = dict.fromkeys(infos, 0)
-        batches = {} if wanted is None else _batches(reader, infos, wanted)
+        types = reader.typestore.fielddefs
+        batches = {  # topics of one type, of which fields are wanted that have a path
+            topic: Batch(types, info.msgtype, wanted[topic], reader.is2, Held(info.msgtype, info.msgcount))
+            for topic, info in infos.items()
+            if wanted is not None and info.msgtype is not None and None not in wanted[topic].values()
+        }
         messages = reader.messages(connections=connections) if connections else iter(())
         while True:
             try:
@@ -88,13 +93,14 @@ def read_bag(path: Path, options: Options) -> Recording:
             except Exception as error:  # a damaged bag raises whatever its parsers meet
                 broken.append(first_line(error, 120))
                 continue  # a reader that failed itself is at its end; the next message may be whole
-            stamp = _header_ns(message, received)
+            stamp = getattr(getattr(message, "header", None), "stamp", None)
+            set_ns = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
             for name, values in _values(topic, message, None if wanted is None else wanted[topic]):
                 if name not in held:
                     held[name] = Held(infos[topic].msgtype or "", infos[topic].msgcount)
                     if hasattr(message, "goal_state"):  # what was before the first event is known as well
                         held[name].add(reader.start_time, reader.start_time, [("state", message.start_state.label)])
-                held[name].add(stamp, received, values)
+                held[name].add(set_ns or received, received, values)
         for topic, batch in batches.items():
             batch.flush()
             if len(batch.held.stamps):
@@ -103,25 +109,18 @@ def read_bag(path: Path, options: Options) -> Recording:
         expected = {topic: info.msgcount for topic, info in infos.items()}
         found = reader.message_count
     if options.most is None:
-        remarks += _damage(expected, seen, broken)
+        lost = {topic: count - seen[topic] for topic, count in expected.items() if count > seen[topic]}
+        parts = [f"{count} of {expected[topic]} messages of {topic}" for topic, count in lost.items()]
+        parts += [f"{len(broken)} messages cannot be read ({broken[0]})"] if broken else []
+        if parts:
+            told = f"part of the bag is missing: {', '.join(parts)}"
+            remarks.append(damaged(told, sum(lost.values()) + len(broken)))
         if not remarks and path.suffix == ".mcap" and not _index_fits(path, found):
             message = "the index at its end does not fit the file: bytes are missing or were put in"
             remarks.append(damaged(message))
     times = _times({name: (topic.stamps, topic.received) for name, topic in held.items()}, options.clock, remarks)
     topics = [Topic(name, times[name], topic.columns(), topic.title, topic.count) for name, topic in held.items()]
     return Recording(topics, remarks)
-
-
-def _batches(
-    reader: Any, infos: Mapping[str, Any], wanted: Mapping[str, Mapping[str, _Get | None]]
-) -> dict[str, Batch]:
-    """What may be read many messages at once: topics of one type, of which fields are wanted that have a path."""
-    types = reader.typestore.fielddefs
-    return {
-        topic: Batch(types, info.msgtype, wanted[topic], reader.is2, Held(info.msgtype, info.msgcount))
-        for topic, info in infos.items()
-        if info.msgtype is not None and None not in wanted[topic].values()
-    }
 
 
 def _wanted(fields: Collection[str]) -> dict[str, dict[str, _Get | None]]:
@@ -160,7 +159,7 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
         return [
             (
                 f"{topic}[{status.name}]",
-                [("level", float(_level(status.level)))]
+                [("level", float(status.level[0] if isinstance(status.level, (bytes, bytearray)) else status.level))]
                 + [(item.key, item.value) for item in status.values if item.key],
             )
             for status in statuses
@@ -168,7 +167,7 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
         ]
     state = [("state", message.goal_state.label)] if hasattr(message, "goal_state") else []
     if wanted is None:
-        return [(topic, state + [(name, value) for name, value in _leaves(message)])]
+        return [(topic, [*state, *_leaves(message)])]
     found: list[tuple[str, Any]] = state
     for name, get in wanted.items():
         try:
@@ -178,18 +177,6 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
         if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
             found.append((name, value))
     return [(topic, found)]
-
-
-def _level(level: Any) -> int:
-    return level[0] if isinstance(level, (bytes, bytearray)) else int(level)
-
-
-def _header_ns(message: Any, received_ns: int) -> int:
-    """Time of a message's header [ns]; when the bag received it, where it has none or none was set."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None or not (stamp.sec or stamp.nanosec):
-        return received_ns
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def _times(
@@ -217,18 +204,6 @@ def _times(
             message = f"headers are not of one clock: off the bag's by {told}, by {usual:+.2g} s in most topics"
             remarks.append(Remark("clock", "", message, action))
     return {name: pair[which].astype(np.float64) * 1e-9 for name, pair in pairs.items()}
-
-
-def _damage(expected: dict[str, int], seen: dict[str, int], broken: list[str]) -> list[Remark]:
-    """What the bag's own statistics promise and the reading did not give."""
-    lost = {topic: count - seen[topic] for topic, count in expected.items() if count > seen[topic]}
-    if not lost and not broken:
-        return []
-    parts = [f"{count} of {expected[topic]} messages of {topic}" for topic, count in lost.items()]
-    if broken:
-        parts.append(f"{len(broken)} messages cannot be read ({broken[0]})")
-    count = sum(lost.values()) + len(broken)
-    return [damaged(f"part of the bag is missing: {', '.join(parts)}", count)]
 
 
 _STATISTICS = 11
@@ -276,17 +251,11 @@ def _names(kind: type) -> list[str]:
     return [name for name in getattr(kind, "__dataclass_fields__", ()) if not (name.startswith("__") or name.isupper())]
 
 
-@cache
-def _elements(path: str, count: int) -> list[str]:
-    return [f"{path}[{index}]" for index in range(count)]
-
-
 def _leaf(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
         yield path, value
     elif isinstance(value, np.ndarray):
-        numbers = value[:_MOST_ELEMENTS].tolist()
-        yield from zip(_elements(path, len(numbers)), numbers, strict=True)
+        yield from ((f"{path}[{index}]", number) for index, number in enumerate(value[:_MOST_ELEMENTS].tolist()))
     elif isinstance(value, list):
         for index, item in enumerate(value[:_MOST_ELEMENTS]):
             yield from _leaf(item, f"{path}[{index}]")
