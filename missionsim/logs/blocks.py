@@ -14,11 +14,10 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.files import atomic_write, csv_cell
 from missionsim.labels import Labels
-from missionsim.logs.raw import RawTable, Remark, merge
+from missionsim.logs.raw import ColumnData, RawTable, Remark, merge
 from missionsim.logs.read import PathLike, make_log, read_log
 from missionsim.logs.readers import table_reader
 from missionsim.logs.times import TimeAxis
-from missionsim.physics import Array
 from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -55,71 +54,50 @@ def iter_blocks(
     """
     path = Path(path)
     reader = table_reader(path)
-    wanted = None if columns is None else sorted({"time_s", *columns})
     if reader.blocks is None:
         yield read_log(path, robot=robot)
         return
+    wanted = None if columns is None else sorted({"time_s", *columns})
     yield from checked_blocks(reader.blocks(path, rows, wanted), path, robot)
-
-
-def checked_blocks(blocks: Iterator[RawTable], path: Path, robot: RobotSpec | None = None) -> Iterator[Run]:
-    """Check tables that follow each other like one log; see `iter_blocks`."""
-    axis = TimeAxis()
-    before: RawTable | None = None
-    current = next(blocks, None)
-    if current is None:
-        raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
-    axis.apply(current)
-    while current is not None:
-        after = next(blocks, None)
-        if after is not None:
-            axis.apply(after)
-        yield _block(path, before, current, after, robot)
-        before, current = current, after
 
 
 _EDGE = 64
 """Rows taken from the neighbouring blocks: enough to see a refresh and the step of time."""
 
 
-def _block(
-    path: Path, before: RawTable | None, current: RawTable, after: RawTable | None, robot: RobotSpec | None
-) -> Run:
-    parts = [current]
-    lead = 0
-    if before is not None:
-        lead = min(_EDGE, before.rows)
-        parts.insert(0, _cut(before, slice(before.rows - lead, None)))
-        _check_order(before, current)
-    if after is not None:
-        parts.append(_cut(after, slice(0, _EDGE)))
-    joined = RawTable(
-        current.file,
-        {name: _join([part.columns[name] for part in parts]) for name in current.columns},
-        current.lines,
-        current.remarks,
-        current.first_row - lead,
-    )
-    return make_log(joined, path.stem, robot=robot, own=(lead, lead + current.rows), statistics=before is None)
+def checked_blocks(blocks: Iterator[RawTable], path: Path, robot: RobotSpec | None = None) -> Iterator[Run]:
+    """Check tables that follow each other like one log; see `iter_blocks`."""
+    axis = TimeAxis()
+    before: RawTable | None = None
+    current: RawTable | None = None
+    for after in itertools.chain(blocks, (None,)):
+        if after is not None:
+            axis.apply(after)
+        if current is not None:
+            lead = min(_EDGE, before.rows) if before is not None else 0
+            if before is not None and "time_s" in before.columns and "time_s" in current.columns:
+                end, times = np.nanmax(np.asarray(before.columns["time_s"])), np.asarray(current.columns["time_s"])
+                if end > np.nanmax(times):
+                    told = f"time runs backwards, from {end:.6g} s to {times[0]:.6g} s"
+                    allowed = "increasing times, one run a file"
+                    raise InputError(Fault(current.file, current.line(0), 0, told, "time_s", allowed=allowed))
+            edges = ((before, slice(-lead, None)), (current, slice(None)), (after, slice(_EDGE)))
+            columns = {
+                name: _join([table.columns[name][rows] for table, rows in edges if table is not None])
+                for name in current.columns
+            }
+            joined = RawTable(current.file, columns, current.lines, current.remarks, current.first_row - lead)
+            own = (lead, lead + current.rows)
+            yield make_log(joined, path.stem, robot=robot, own=own, statistics=before is None)
+            before = current
+        current = after
+    if before is None:
+        raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
 
 
-def _check_order(before: RawTable, current: RawTable) -> None:
-    ends, starts = before.columns.get("time_s"), current.columns.get("time_s")
-    if ends is None or starts is None or isinstance(ends, Labels) or isinstance(starts, Labels):
-        return
-    if np.nanmax(ends) > np.nanmax(starts):
-        told = f"time runs backwards, from {np.nanmax(ends):.6g} s to {starts[0]:.6g} s"
-        allowed = "increasing times, one run a file"
-        raise InputError(Fault(current.file, current.line(0), 0, told, "time_s", allowed=allowed))
-
-
-def _cut(raw: RawTable, part: slice) -> RawTable:
-    return RawTable(raw.file, {name: data[part] for name, data in raw.columns.items()})
-
-
-def _join(parts: list[Array | Labels]) -> Array | Labels:
+def _join(parts: list[ColumnData]) -> ColumnData:
     if not any(isinstance(part, Labels) for part in parts):
-        return np.concatenate([part for part in parts if not isinstance(part, Labels)])
+        return np.concatenate([np.asarray(part) for part in parts])
     return Labels.joined([part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts])
 
 
@@ -147,8 +125,15 @@ def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -
             import pyarrow.parquet as parquet
 
             parquet.write_table(_table(log, metadata or {}), temporary, use_dictionary=_words(log))
-        else:
-            _csv(log, temporary)
+            return
+        columns = [
+            Labels(data.codes, tuple(map(csv_cell, data.names))).texts() if isinstance(data, Labels) else data.tolist()
+            for data in log.columns.values()
+        ]
+        with open(temporary, "w", encoding="utf-8", newline="") as handle:
+            writer = csv.writer(handle, lineterminator="\n")
+            writer.writerow(map(csv_cell, log.columns))
+            writer.writerows(zip(*columns, strict=True))
 
 
 @dataclass
@@ -218,14 +203,3 @@ def _table(log: Run, metadata: Mapping[str, str]) -> pa.Table:
         for name, data in log.columns.items()
     }
     return pa.table(arrays).replace_schema_metadata({key.encode(): value.encode() for key, value in metadata.items()})
-
-
-def _csv(log: Run, path: Path) -> None:
-    columns = [
-        Labels(data.codes, tuple(map(csv_cell, data.names))).texts() if isinstance(data, Labels) else data.tolist()
-        for data in log.columns.values()
-    ]
-    with open(path, "w", encoding="utf-8", newline="") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(map(csv_cell, log.columns))
-        writer.writerows(zip(*columns, strict=True))

@@ -103,29 +103,6 @@ def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:
 
 def distinct_logs(paths: Iterable[PathLike] | PathLike) -> dict[Path, list[Path]]:
     """As `find_logs`: the first file of each content, with the further files that have the same."""
-    files = _files(paths)
-    sizes = grouped(files, lambda path: path.stat().st_size if path.is_file() else -1)
-    # only files of one size can be the same, so most are never hashed
-    alike = [p for size, same in sizes.items() if size > 0 and len(same) > 1 for p in same]
-    content = {p: sha256(p) for p in alike if os.access(p, os.R_OK)}
-    first: dict[str, Path] = {}
-    found: dict[Path, list[Path]] = {}
-    for path in files:
-        kept = first.setdefault(content.get(path, str(path)), path)
-        found.setdefault(kept, [])
-        if kept is not path:
-            found[kept].append(path)
-    return found
-
-
-def same_content(twins: Sequence[Path]) -> Remark:
-    """The remark of a log of which there were copies."""
-    names = ", ".join(map(str, twins[:5])) + (f" and {len(twins) - 5} more" if len(twins) > 5 else "")
-    # the names stand in what was done, which is told for each log on its own
-    return Remark("duplicate", "", "the log was given under several names", f"one measurement, left out: {names}")
-
-
-def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
     given = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
     files: dict[Path, None] = {}
     faults = []
@@ -146,7 +123,25 @@ def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
         faults.append(Fault("", 0, 0, "no log was given", allowed="files or folders"))
     if faults:
         raise InputError(faults)
-    return list(files)
+    sizes = grouped(list(files), lambda path: path.stat().st_size if path.is_file() else -1)
+    # only files of one size can be the same, so most are never hashed
+    alike = [p for size, same in sizes.items() if size > 0 and len(same) > 1 for p in same]
+    content = {p: sha256(p) for p in alike if os.access(p, os.R_OK)}
+    first: dict[str, Path] = {}
+    found: dict[Path, list[Path]] = {}
+    for path in files:
+        kept = first.setdefault(content.get(path, str(path)), path)
+        found.setdefault(kept, [])
+        if kept is not path:
+            found[kept].append(path)
+    return found
+
+
+def same_content(twins: Sequence[Path]) -> Remark:
+    """The remark of a log of which there were copies."""
+    names = ", ".join(map(str, twins[:5])) + (f" and {len(twins) - 5} more" if len(twins) > 5 else "")
+    # the names stand in what was done, which is told for each log on its own
+    return Remark("duplicate", "", "the log was given under several names", f"one measurement, left out: {names}")
 
 
 def read_raw(path: PathLike) -> RawTable:
