@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -15,7 +15,7 @@ from missionsim.importer import transform
 from missionsim.importer.roles import to_glossary
 from missionsim.inputs.log_map import ColumnMap, MapSpec
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, RawTable, Remark
+from missionsim.logs.raw import ColumnData, RawTable, Remark, numbers_of
 from missionsim.logs.times import TimeError, read_stamps
 from missionsim.physics import Array
 
@@ -43,7 +43,17 @@ class Mapper:
             self._check_names(("columns", name, "stamp"), column.stamp or (), offered)
             if (column.stamp or column.zone) and name != "time_s":
                 self._fault(("columns", name), "'stamp' and 'zone' belong to time_s")
-        self.order = self._order()
+        # helpers and columns that a helper or column reads; a source column of the same name comes first
+        made = {*self.let, *self.columns} - {*raw.columns, *self.constants}
+        self.needs = {name: self._reads(name) & made for name in (*self.let, *self.columns)}
+        for name, column in spec.columns.items():
+            if name not in (*self.let, "time_s") and (column.differentiate is not None or column.average is not None):
+                self.needs[name].add("time_s")  # it has to be there before rates and averages
+        try:
+            self.order = list(TopologicalSorter(self.needs).static_order())
+        except CycleError as error:
+            circle = " → ".join(map(str, error.args[1]))
+            self._fault(("columns",), f"these columns need each other: {circle}")
         if self.faults:
             raise InputError(self.faults)
 
@@ -68,57 +78,31 @@ class Mapper:
                 allowed, hint = ", ".join(known)[:300], did_you_mean(name, known)
                 self._fault(path, f"'{name}' is not a column of the source", name, allowed, hint)
 
-    def _needs(self, name: str) -> set[str]:
-        """Helpers and result columns that a helper or column reads; a source column of the same name comes first."""
-        formulas = [self.let[name]] if name in self.let else list(self.columns[name].values())
-        read = set().union(*(formula.names for formula in formulas)) if formulas else set()
-        made = {*self.let, *self.columns} - {*self.raw.columns, *self.constants}
-        inner = {name for name in read if name in made}
-        column = self.spec.columns.get(name) if name not in self.let else None
-        if column is not None and name != "time_s" and (column.differentiate is not None or column.average is not None):
-            inner |= {"time_s"}
-        return inner
-
-    def _order(self) -> list[str]:
-        names = [*self.let, *(name for name in self.columns if name not in self.let)]
-        try:
-            return list(TopologicalSorter({name: self._needs(name) for name in names}).static_order())
-        except CycleError as error:
-            circle = " → ".join(map(str, error.args[1]))
-            self._fault(("columns",), f"these columns need each other: {circle}")
-            return []
+    def _reads(self, name: str) -> set[str]:
+        """Every name in the formulas of a helper or a column."""
+        formulas = [self.let[name]] if name in self.let else self.columns.get(name, {}).values()
+        return {read for formula in formulas for read in formula.names}
 
     def time(self, columns: Mapping[str, ColumnData]) -> Array:
         """Time of every row of the source [s], before runs are split."""
-        return np.asarray(self.evaluate(columns, only={"time_s"})["time_s"])
+        return np.asarray(self.evaluate(columns, _all_of(["time_s"], self.needs.__getitem__))[0]["time_s"])
 
-    def evaluate(self, env: Mapping[str, ColumnData], only: set[str] | None = None) -> dict[str, ColumnData]:
-        """The map's columns from those of the source (only `only` and what they need, where that is given)."""
-        rows = len(next(iter(env.values())))
-        names = self.order if only is None else self._closure(only)
-        source = dict(env)
+    def evaluate(
+        self, source: Mapping[str, ColumnData], only: Collection[str] | None = None
+    ) -> tuple[dict[str, ColumnData], dict[str, Any]]:
+        """The map's columns from those of the source (`only` these of them and of the helpers, where that is given);
+        and all that a formula may name: constants, columns of the source, helpers, and columns of the map."""
+        rows = len(next(iter(source.values())))
         values: dict[str, Any] = {**self.constants, **source}
         result: dict[str, ColumnData] = {}
-        for name in names:
+        for name in self.order if only is None else [name for name in self.order if name in only]:
             if name in self.let:
-                data: Any = self.run(self.let[name], values, rows)
-                if name not in source:
-                    values[name] = data
+                data = self.run(self.let[name], values, rows)
             else:
-                # time has to be there before rates and averages
-                data = self._column(name, self.spec.columns[name], values, result, rows)
-                result[name] = data
-                if name not in source and name not in self.constants:
-                    values[name] = data
-        return {name: result[name] for name in self.spec.columns if name in result}
-
-    def _closure(self, wanted: set[str]) -> list[str]:
-        need = set(wanted)
-        while True:
-            more = set().union(*(self._needs(name) for name in need if name in self.let or name in self.columns)) - need
-            if not more:
-                return [name for name in self.order if name in need]
-            need |= more
+                data = result[name] = self._column(name, self.spec.columns[name], values, result, rows)
+            if name not in source and (name in self.let or name not in self.constants):
+                values[name] = data
+        return {name: result[name] for name in self.spec.columns if name in result}, values
 
     def run(self, formula: Expression, values: Mapping[str, ColumnData | float], rows: int) -> ColumnData:
         """Value of a formula in every row; InputError where it cannot be computed."""
@@ -143,7 +127,12 @@ class Mapper:
         if column.text is not None:
             return Labels(np.zeros(rows, dtype=np.int64), (column.text,))
         if column.file_name is not None:
-            return self._from_file_name(name, column.file_name, rows)
+            words = [word for word in column.file_name if word.lower() in self.stem.lower()]
+            if len(words) != 1:
+                told = f"the file's name holds {' and '.join(words) or 'none'} of the words"
+                allowed = "exactly one of " + ", ".join(column.file_name)
+                raise self._fault(("columns", name, "file_name"), told, self.stem, allowed)
+            return Labels(np.zeros(rows, dtype=np.int64), (words[0],))
         if column.lookup is not None:
             return self._looked_up(name, parts[0], column.values)
         if column.quaternion is not None:
@@ -160,11 +149,22 @@ class Mapper:
             data = parts[0] if parts else np.empty(0)
         if name == "time_s" and column.unit is None and (column.stamp is not None or column.value is not None):
             return self._stamps(column, [values[key] for key in column.stamp or ()] or [data])
+        found = column_of(name)
+        texts = found is not None and found[0].kind == "text"
         if isinstance(data, Labels):
-            return self._as_text(name, data, column)
-        data = self._converted(name, data, column)
-        if _is_text_column(name):
-            return Labels.of("" if np.isnan(number) else f"{number:g}" for number in data)
+            if (found is not None and not texts) or column.unit is not None:
+                told = "this column holds text, not numbers"
+                raise self._fault(("columns", name), told, got=", ".join(data.names[:5]))
+            return data
+        if column.unit is not None:
+            try:
+                data = to_glossary(data, column.unit, name)
+            except InputError as error:
+                fault = error.faults[0]
+                path = ("columns", name, "unit")
+                raise self._fault(path, fault.message, fault.got, fault.allowed, fault.hint) from None
+        if texts:
+            return _written(data)
         if column.average is not None and column.differentiate is None:
             data = transform.moving_average(data, np.asarray(result["time_s"]), float(column.average))
         if column.travel is not None:
@@ -189,68 +189,39 @@ class Mapper:
             raise self._fault(("columns", name), "this column is computed from text")
         return numbers
 
-    def _as_text(self, name: str, data: Labels, column: ColumnMap) -> Labels:
-        found = column_of(name)
-        if (found is not None and found[0].kind != "text") or column.unit is not None:
-            raise self._fault(("columns", name), "this column holds text, not numbers", got=", ".join(data.names[:5]))
-        return data
-
-    def _converted(self, name: str, data: Array, column: ColumnMap) -> Array:
-        if column.unit is None:
-            return data
-        try:
-            return to_glossary(data, column.unit, name)
-        except InputError as error:
-            fault = error.faults[0]
-            raise self._fault(("columns", name, "unit"), fault.message, fault.got, fault.allowed, fault.hint) from None
-
-    def _from_file_name(self, name: str, words: tuple[str, ...], rows: int) -> Labels:
-        found = [word for word in words if word.lower() in self.stem.lower()]
-        if len(found) != 1:
-            told = f"the file's name holds {' and '.join(found) or 'none'} of the words"
-            raise self._fault(("columns", name, "file_name"), told, self.stem, "exactly one of " + ", ".join(words))
-        return Labels(np.zeros(rows, dtype=np.int64), (found[0],))
-
     def _looked_up(self, name: str, data: ColumnData, table: dict[str, Any]) -> ColumnData:
-        labels = data if isinstance(data, Labels) else Labels.of("" if np.isnan(v) else f"{v:g}" for v in data)
+        labels = data if isinstance(data, Labels) else _written(data)
         unknown = [word for word in labels.names if word not in table]
         if unknown:
             allowed, hint = ", ".join(map(str, table)), did_you_mean(unknown[0], [str(key) for key in table])
             told = f"'{unknown[0]}' has no value"
             raise self._fault(("columns", name, "values"), told, ", ".join(unknown[:10]), allowed, hint)
         given = [table[word] for word in labels.names]
-        if all(isinstance(item, (int, float)) for item in given) and not _is_text_column(name):
-            return np.asarray(np.array([*(float(item) for item in given), np.nan])[labels.codes])
+        found = column_of(name)
+        if all(isinstance(item, (int, float)) for item in given) and (found is None or found[0].kind != "text"):
+            return numbers_of(labels, lambda word: float(table[word]))
         words = Labels.of(str(item) for item in given)
         return Labels(np.array([*words.codes, -1], dtype=np.int64)[labels.codes], words.names)
-
-    def helpers(self, source: Mapping[str, ColumnData], result: Mapping[str, ColumnData]) -> dict[str, ColumnData]:
-        """Helper columns of a map, from the source's columns and the result's."""
-        values: dict[str, Any] = {**self.constants, **result, **source}
-        for name in self.order:
-            if name in self.let and name not in source:
-                values[name] = self.run(self.let[name], values, len(next(iter(source.values()))))
-        return {name: values[name] for name in self.let}
 
     def is_held(self, name: str) -> bool:
         """Whether a column comes from the refreshed signals, and so takes their value and no mean."""
         column = self.spec.columns.get(name)
         if column is not None and column.hold is not None:
             return column.hold
-        seen: set[str] = set()
-        todo = [name]
-        while todo:
-            current = todo.pop()
-            if current in self.spec.refresh:
-                return True
-            formulas = [self.let[current]] if current in self.let else list(self.columns.get(current, {}).values())
-            for formula in formulas:
-                new = formula.names - seen
-                seen |= new
-                todo += new
-        return False
+        return not _all_of([name], self._reads).isdisjoint(self.spec.refresh)
 
 
-def _is_text_column(name: str) -> bool:
-    found = column_of(name)
-    return found is not None and found[0].kind == "text"
+def _all_of(names: Iterable[str], needs: Callable[[str], Iterable[str]]) -> set[str]:
+    """Names, what they need, what that needs, and so on."""
+    found: set[str] = set()
+    todo = list(names)
+    while todo:
+        name = todo.pop()
+        if name not in found:
+            found.add(name)
+            todo += needs(name)
+    return found
+
+
+def _written(numbers: Array) -> Labels:
+    return Labels.of("" if np.isnan(number) else f"{number:g}" for number in numbers)

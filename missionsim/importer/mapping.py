@@ -6,7 +6,6 @@ import functools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,44 +29,38 @@ from missionsim.logs.times import close_jumps
 from missionsim.physics import Array
 from missionsim.runs.run import Run
 
-
-@dataclass
-class Part:
-    """Rows of one run in the source, and its name."""
-
-    name: str
-    rows: NDArray[np.int64]
-    remarks: list[Remark] = field(default_factory=list)
+Piece = tuple[str, NDArray[np.int64]]
+"""Name of a run, and its rows in the source."""
 
 
-def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[Part]:
-    """Rows of each run, in the order in which they begin.
+def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[Piece]:
+    """Name and rows of each run, in the order in which they begin.
 
     With ``by``, rows with the same values belong together wherever they stand (two files joined and sorted do not
     break); with ``restart``, a jump of time back by more than a second (or ten steps) begins another run.
     """
-    groups = [Part(stem, np.arange(raw.rows))]
-    if spec.runs.by:
-        groups = _by_columns(raw, stem, spec.runs.by)
-    if spec.runs.restart:
-        groups = [piece for group in groups for piece in _restarts(group, time_s)]
-    return groups
-
-
-def _by_columns(raw: RawTable, stem: str, names: tuple[str, ...]) -> list[Part]:
-    code = np.zeros(raw.rows, dtype=np.int64)
-    for name in names:
-        data: Any = raw.columns[name]
-        _, inverse = np.unique(data.codes if isinstance(data, Labels) else data, return_inverse=True)
-        code = code * (int(inverse.max(initial=0)) + 1) + inverse
-    _, first, code = np.unique(code, return_index=True, return_inverse=True)
-    rows = np.split(np.argsort(code, kind="stable"), np.cumsum(np.bincount(code))[:-1])
-    parts = []
-    for index in np.argsort(first):
-        at = int(first[index])
-        words = [_word(raw.columns[name], at) for name in names]
-        parts.append(Part(file_name("_".join([stem, *words])), rows[index]))
-    return parts
+    pieces: list[Piece] = [(stem, np.arange(raw.rows))]
+    if names := spec.runs.by:
+        code = np.zeros(raw.rows, dtype=np.int64)
+        for name in names:
+            data: Any = raw.columns[name]
+            _, inverse = np.unique(data.codes if isinstance(data, Labels) else data, return_inverse=True)
+            code = code * (int(inverse.max(initial=0)) + 1) + inverse
+        _, first, code = np.unique(code, return_index=True, return_inverse=True)
+        rows = np.split(np.argsort(code, kind="stable"), np.cumsum(np.bincount(code))[:-1])
+        pieces = []
+        for index in np.argsort(first):
+            words = [_word(raw.columns[name], int(first[index])) for name in names]
+            pieces.append((file_name("_".join([stem, *words])), rows[index]))
+    if not spec.runs.restart:
+        return pieces
+    parted = []
+    for name, inside in pieces:
+        step = np.diff(time_s[inside])
+        usual = float(np.median(np.abs(step))) if len(step) else 0.0
+        at = np.flatnonzero(step < -max(1.0, 10 * usual)) + 1
+        parted += _numbered(name, np.split(inside, at)) if len(at) else [(name, inside)]
+    return parted
 
 
 def _word(data: Any, row: int) -> str:
@@ -81,35 +74,22 @@ def file_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip(".-")[:120] or "run"
 
 
-def _restarts(part: Part, time_s: Array) -> list[Part]:
-    time = time_s[part.rows]
-    step = np.diff(time)
-    usual = float(np.median(np.abs(step))) if len(step) else 0.0
-    at = np.flatnonzero(step < -max(1.0, 10 * usual)) + 1
-    return _numbered(part, np.split(np.arange(len(time)), at)) if len(at) else [part]
-
-
-def _numbered(part: Part, pieces: list[NDArray[np.int64]]) -> list[Part]:
+def _numbered(name: str, pieces: list[NDArray[np.int64]]) -> list[Piece]:
     width = max(2, len(str(len(pieces) - 1)))
-    return [
-        Part(f"{part.name}_{index:0{width}d}", part.rows[piece], part.remarks) for index, piece in enumerate(pieces)
-    ]
+    return [(f"{name}_{index:0{width}d}", rows) for index, rows in enumerate(pieces)]
 
 
-def split_at_gaps(name: str, time_s: Array, runs: RunsMap) -> list[tuple[str, NDArray[np.int64], list[Remark]]]:
-    """Pieces of a run between gaps longer than ``runs.gap``; pieces under ``runs.shortest`` are left out and told. What
-    was left out is told in the first piece."""
+def split_at_gaps(name: str, time_s: Array, runs: RunsMap, remarks: list[Remark]) -> list[Piece]:
+    """Pieces of a run between gaps longer than ``runs.gap``; pieces under ``runs.shortest`` are left out and told."""
     pieces = [np.arange(len(time_s))]
     if runs.gap is not None:
         pieces = np.split(pieces[0], np.flatnonzero(np.diff(time_s) > float(runs.gap)) + 1)
     shortest = float(runs.shortest) if runs.shortest is not None else 0.0
     long = [piece for piece in pieces if len(piece) >= 2 and time_s[piece[-1]] - time_s[piece[0]] >= shortest]
-    left = sum(len(piece) for piece in pieces) - sum(len(piece) for piece in long)
-    told = f"{len(pieces) - len(long)} pieces of {name} ({left} rows) are too short"
-    remarks = [Remark("gap", "", told, "left out", "note", 0, left)] if left else []
-    whole = Part(name, np.arange(len(time_s)))
-    named = _numbered(whole, long) if len(pieces) > 1 else [Part(name, piece) for piece in long]
-    return [(part.name, part.rows, remarks if index == 0 else []) for index, part in enumerate(named)]
+    if left := sum(map(len, pieces)) - sum(map(len, long)):
+        told = f"{len(pieces) - len(long)} pieces of {name} ({left} rows) are too short"
+        remarks.append(Remark("gap", "", told, "left out", "note", 0, left))
+    return _numbered(name, long) if len(pieces) > 1 else [(name, piece) for piece in long]
 
 
 def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: set[str]) -> dict[str, str]:
@@ -158,8 +138,14 @@ def import_source(
         try:
             raw = read_source(one, spec)
             mapper = Mapper(spec, raw, one.name)
-            for part in split_runs(raw, one.name, spec, mapper.time(raw.columns)):
-                logs += _logs(mapper, part)
+            for run, inside in split_runs(raw, one.name, spec, mapper.time(raw.columns)):
+                result, source, number, remarks = _columns(mapper, inside)
+                told: list[Remark] = []
+                for name, rows in split_at_gaps(run, np.asarray(result["time_s"]), spec.runs, told):
+                    piece = [_taken(columns, rows) for columns in (result, source)]
+                    every = [*raw.remarks, *mapper.remarks, *remarks, *told]
+                    logs.append(_finish(mapper, name, *piece, number[rows], every))
+                    told = []  # what was left out is told once
         except InputError as error:
             if left_out is None:
                 raise
@@ -224,105 +210,88 @@ def _mapped(path: Path, spec: MapSpec) -> Iterator[RawTable]:
 
 def _columns(
     mapper: Mapper, rows: NDArray[np.int64]
-) -> tuple[dict[str, ColumnData], dict[str, Any], NDArray[np.int64], list[Remark]]:
-    """Columns of the map and of the source in the rows that are kept, their numbers, and what is said of it."""
-    chosen = _which(rows, mapper.raw.rows)
-    source: dict[str, Any] = {name: data[chosen] for name, data in mapper.raw.columns.items()}
-    result = mapper.evaluate(source)
-    if mapper.spec.others:
-        result |= {
-            name: data for name, data in source.items() if name not in result and name not in mapper.spec.signals
-        }
-    remarks = _words_that_are_columns(mapper)
+) -> tuple[dict[str, ColumnData], dict[str, ColumnData], NDArray[np.int64], list[Remark]]:
+    """Columns of the map in the rows that are kept, of the source with the helpers, their rows, and what is said."""
+    spec, raw = mapper.spec, mapper.raw
+    source = _taken(raw.columns, rows)
+    result, values = mapper.evaluate(source)
+    if spec.others:
+        result |= {name: data for name, data in source.items() if name not in result and name not in spec.signals}
+    told = "'{}' is this very word in every row, although the source has a column of that name"
+    remarks = [
+        Remark("name", name, told.format(column.text), f"as the map says; for the column write {name}: {column.text}")
+        for name, column in spec.columns.items()
+        if column.text is not None and column.text in raw.columns
+    ]
+    source |= {name: values[name] for name in mapper.let}
     if mapper.keep is not None:
-        values = {**mapper.constants, **result, **mapper.helpers(source, result), **source}
-        keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, values, len(rows)))) != 0
+        keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, {**values, **result, **source}, len(rows)))) != 0
         if not keep.all():
             left = int((~keep).sum())
-            told = f"{left} of {len(keep)} rows do not meet '{mapper.spec.keep}'"
-            remarks.append(Remark("keep", "", told, "left out, as the map asks", "note", 0, left))
-        result, rows = {name: data[keep] for name, data in result.items()}, rows[keep]
-        source = {name: data[keep] for name, data in source.items()}
+            message = f"{left} of {len(keep)} rows do not meet '{spec.keep}'"
+            remarks.append(Remark("keep", "", message, "left out, as the map asks", "note", 0, left))
+        rows = rows[keep]
+        result, source = ({name: data[keep] for name, data in columns.items()} for columns in (result, source))
     return result, source, rows, remarks
 
 
-def _logs(mapper: Mapper, part: Part) -> list[Run]:
-    """Logs of one run of the source (several where gaps split it)."""
-    result, source, number, remarks = _columns(mapper, part.rows)
-    logs = []
-    for name, rows, more in split_at_gaps(part.name, np.asarray(result["time_s"]), mapper.spec.runs):
-        chosen = _which(rows, len(number))
-        run = {key: data[chosen] for key, data in result.items()}
-        signals = {key: data[chosen] for key, data in source.items()}
-        every = [*mapper.raw.remarks, *mapper.remarks, *part.remarks, *remarks, *more]
-        logs.append(_finish(mapper, name, run, signals, number[chosen], every))
-    return logs
-
-
-def _which(rows: NDArray[np.int64], count: int) -> NDArray[np.int64] | slice:
-    """Rows to choose; all of them, in order, without a copy."""
-    return slice(None) if len(rows) == count and bool((np.diff(rows) == 1).all()) else rows
-
-
-def _words_that_are_columns(mapper: Mapper) -> list[Remark]:
-    """Remarks on `text: name` where the source has a column of that name, which was perhaps meant."""
-    told = "'{}' is this very word in every row, although the source has a column of that name"
-    action = "as the map says; for the column write {}: {}"
-    return [
-        Remark("name", name, told.format(column.text), action.format(name, column.text))
-        for name, column in mapper.spec.columns.items()
-        if column.text is not None and column.text in mapper.raw.columns
-    ]
+def _taken(columns: Mapping[str, ColumnData], rows: NDArray[np.int64]) -> dict[str, ColumnData]:
+    """These rows of columns; all of them, in order, without a copy."""
+    count = len(next(iter(columns.values()), ()))
+    chosen = slice(None) if len(rows) == count and bool((np.diff(rows) == 1).all()) else rows
+    return {name: data[chosen] for name, data in columns.items()}
 
 
 def _finish(
     mapper: Mapper,
     name: str,
     run: dict[str, ColumnData],
-    source: dict[str, Any],
+    source: dict[str, ColumnData],
     number: NDArray[np.int64],
     remarks: list[Remark],
 ) -> Run:
     time = np.asarray(run["time_s"])
     if len(time) > 1 and (np.diff(time) < 0).any():
-        order = np.argsort(time, kind="stable")
-        count = int((np.diff(time) < 0).sum())
-        line = mapper.raw.line(int(number[int(np.argmax(np.diff(time) < 0)) + 1]))
+        order, back = np.argsort(time, kind="stable"), np.diff(time) < 0
+        count, line = int(back.sum()), mapper.raw.line(int(number[int(np.argmax(back)) + 1]))
         told, action = f"time runs backwards in {count} places", "the rows were sorted by time"
         remarks.append(Remark("time_backwards", "time_s", told, action, "warning", line, count))
-        run = {key: data[order] for key, data in run.items()}
-        source = {key: data[order] for key, data in source.items()}
+        run, source = ({key: data[order] for key, data in columns.items()} for columns in (run, source))
         time, number = time[order], number[order]
     if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.median(np.diff(time))):
         run["time_s"] = time = time - time[0]  # a start within a step of zero is the middle of the first interval
     run["time_s"] = time = close_jumps(time, remarks)
-    lags = {key: float(column.lag) for key, column in mapper.spec.columns.items() if column.lag is not None}
     lines = mapper.raw.lines
     if mapper.spec.refresh:
-        run = _one_row_a_refresh(mapper, run, source, lags, remarks)
+        run = _one_row_a_refresh(mapper, run, source, remarks)
         number, lines = np.empty(0, dtype=np.int64), lambda _row: 0
     else:
-        for key, lag in lags.items():
-            run[key] = transform.shift_back(run[key], time, lag)
-            remarks.append(Remark("clock", key, f"comes {lag:g} s late", "shifted back, as the map asks", "note"))
+        for key, column in mapper.spec.columns.items():
+            if column.lag is not None:
+                lag = float(column.lag)
+                run[key] = transform.shift_back(run[key], time, lag)
+                remarks.append(Remark("clock", key, f"comes {lag:g} s late", "shifted back, as the map asks", "note"))
     if mapper.spec.step is not None:
-        run = _averaged(run, float(mapper.spec.step))
+        step_s, time = float(mapper.spec.step), np.asarray(run["time_s"])
+        edges = time[0] - 1e-9 + step_s * np.arange(int((time[-1] - time[0]) // step_s) + 2)
+        run = transform.average_windows(run, time, edges[:-1], edges[1:], {})
+        run["time_s"] = np.asarray(run["time_s"]) - edges[0]
         number, lines = np.empty(0, dtype=np.int64), lambda _row: 0
     table = RawTable(mapper.raw.file, run, lambda row: lines(int(number[row])) if len(number) else 0, remarks)
     return make_log(table, name)
 
 
 def _one_row_a_refresh(
-    mapper: Mapper, run: dict[str, ColumnData], source: dict[str, Any], lags: dict[str, float], remarks: list[Remark]
+    mapper: Mapper, run: dict[str, ColumnData], source: dict[str, ColumnData], remarks: list[Remark]
 ) -> dict[str, ColumnData]:
     time = np.asarray(run["time_s"])
-    values = {**source, **{k: v for k, v in mapper.helpers(source, run).items() if k in mapper.spec.refresh}}
-    start, stop, row = transform.refresh_times([values[name] for name in mapper.spec.refresh], time)
+    start, stop, row = transform.refresh_times([source[name] for name in mapper.spec.refresh], time)
     held = {name: row for name in run if name != "time_s" and mapper.is_held(name)}
     if not len(start):
         told = f"{' and '.join(mapper.spec.refresh)} never changes, so there is no refresh"
         raise InputError.single(told, file=mapper.raw.file)
-    late = max((lags[name] for name in held if name in lags), default=0.0)
+    columns = mapper.spec.columns
+    late = max((float(lag) for name in held if name in columns and (lag := columns[name].lag) is not None), default=0.0)
     short = transform.average_windows(run, time, start - late, stop - late, held)
     short["time_s"] = np.asarray(short["time_s"]) - (start[0] - late)
     usual = float(np.median(stop - start))
@@ -331,14 +300,6 @@ def _one_row_a_refresh(
     action = "one row for each refresh, the rest averaged over the time before it"
     action += f", {late:g} s earlier (lag)" if late else ""
     remarks.append(Remark("repeated", "", told, action, "note", 0, len(time) - count))
-    return short
-
-
-def _averaged(run: dict[str, ColumnData], step_s: float) -> dict[str, ColumnData]:
-    time = np.asarray(run["time_s"])
-    edges = time[0] - 1e-9 + step_s * np.arange(int((time[-1] - time[0]) // step_s) + 2)
-    short = transform.average_windows(run, time, edges[:-1], edges[1:], {})
-    short["time_s"] = np.asarray(short["time_s"]) - edges[0]
     return short
 
 

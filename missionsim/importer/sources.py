@@ -18,7 +18,7 @@ from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, source_suffixes
+from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, registry, source_suffixes
 from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -66,13 +66,8 @@ def find_files(given: Sequence[Path]) -> list[Path]:
 
 
 def _is_source(path: Path) -> bool:
-    if not path.is_dir():
-        return False
-    try:
-        reader_of(path)
-    except InputError:
-        return False
-    return True
+    """Whether a folder is one source, as a bag is."""
+    return path.is_dir() and any(reader.folder and (path / reader.folder).exists() for reader in registry().values())
 
 
 def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
@@ -132,9 +127,17 @@ def read_source(source: Source, spec: MapSpec) -> RawTable:
     if spec.files:
         return _joined(source, spec)
     reader = reader_of(source.path)
-    if reader.table is None:
-        return _from_messages(source.path, reader, spec)
-    return with_names(reader.table(source.path, table_options(spec)), spec)
+    if reader.table is not None:
+        return with_names(reader.table(source.path, table_options(spec)), spec)
+    assert reader.recording is not None
+    if not spec.signals:
+        told, allowed = f"a map for a {reader.title} needs signals", "signals: {volts: /battery_state.voltage}"
+        raise InputError.single(told, file=str(spec.path), allowed=allowed)
+    wanted = {signal.field.strip() for signal in spec.signals.values()}
+    found = reader.recording(source.path, Options(fields=wanted, clock=spec.stamp))
+    raw = _merged(found.topics, spec, source.path, reader)
+    raw.remarks[:0] = found.remarks
+    return raw
 
 
 def table_options(spec: MapSpec) -> Options:
@@ -181,26 +184,13 @@ def column_name(field: str, names: Sequence[str]) -> str | None:
     return None
 
 
-def _from_messages(path: Path, reader: Reader, spec: MapSpec) -> RawTable:
-    assert reader.recording is not None
-    if not spec.signals:
-        told, allowed = f"a map for a {reader.title} needs signals", "signals: {volts: /battery_state.voltage}"
-        raise InputError.single(told, file=str(spec.path), allowed=allowed)
-    fields = {alias: signal.field.strip() for alias, signal in spec.signals.items()}
-    found = reader.recording(path, Options(fields=set(fields.values()), clock=spec.stamp))
-    raw = _merged(fields, found.topics, spec, path, reader)
-    raw.remarks[:0] = found.remarks
-    return raw
-
-
-def _merged(
-    fields: dict[str, str], topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader | None
-) -> RawTable:
+def _merged(topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader | None) -> RawTable:
     signals: dict[str, Signal] = {}
     faults: list[Fault] = []
     known: list[str] | None = None
     by_name = {f"{topic.name}.{column}": (topic, column) for topic in topics for column in topic.columns}
-    for alias, field in fields.items():
+    for alias, signal in spec.signals.items():
+        field = signal.field.strip()
         full = field if field in by_name or field.startswith("/") else f"/{field}"
         if full not in by_name:
             if known is None:
@@ -208,7 +198,7 @@ def _merged(
             faults.append(missing_field(spec, alias, field, known, str(path)))
             continue
         topic, column = by_name[full]
-        signals[alias] = Signal(topic.time_s, topic.columns[column], spec.signals[alias].fill, topic.name)
+        signals[alias] = Signal(topic.time_s, topic.columns[column], signal.fill, topic.name)
     if spec.timeline is not None and spec.timeline not in spec.signals:
         message = f"timeline '{spec.timeline}' is not a signal"
         allowed, hint = ", ".join(spec.signals), did_you_mean(spec.timeline, spec.signals)
@@ -225,14 +215,14 @@ def _joined(source: Source, spec: MapSpec) -> RawTable:
     remarks: list[Remark] = []
     topics: list[Topic] = []
     clocks: dict[str, str] = {}
-    fields = {alias: signal.field.strip() for alias, signal in spec.signals.items()}
+    named = [signal.field.strip().partition(".") for signal in spec.signals.values()]
     for alias, file in spec.files.items():
-        own = {field.partition(".")[2] for field in fields.values() if field.partition(".")[0] == alias}
+        own = {column for start, _, column in named if start == alias}
         parts, clocks[alias], told = _parts(source.files[alias], alias, file, own, spec)
         topics += parts
         remarks += [Remark(r.kind, r.column, f"{alias}: {r.message}", r.action, r.severity, r.line) for r in told]
     _one_clock(topics, clocks, source, remarks)
-    raw = _merged(fields, topics, spec, source.path, None)
+    raw = _merged(topics, spec, source.path, None)
     raw.remarks[:0] = remarks
     return raw
 
