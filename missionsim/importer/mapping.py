@@ -139,12 +139,11 @@ def import_source(
             raw = read_source(one, spec)
             mapper = Mapper(spec, raw, one.name)
             for run, inside in split_runs(raw, one.name, spec, mapper.time(raw.columns)):
-                result, source, number, remarks = _columns(mapper, inside)
+                result, signals, number, remarks = _columns(mapper, inside)
                 told: list[Remark] = []
                 for name, rows in split_at_gaps(run, np.asarray(result["time_s"]), spec.runs, told):
-                    piece = [_taken(columns, rows) for columns in (result, source)]
                     every = [*raw.remarks, *mapper.remarks, *remarks, *told]
-                    logs.append(_finish(mapper, name, *piece, number[rows], every))
+                    logs.append(_finish(mapper, name, _taken(result, rows), _taken(signals, rows), number[rows], every))
                     told = []  # what was left out is told once
         except InputError as error:
             if left_out is None:

@@ -109,39 +109,30 @@ def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Arra
     bring the same value again (standing still): a window longer than 1.5 usual ones is cut in usual ones, all but the
     last with the value before.
     """
-    found = [_changes(signal) for signal in signals]
-    at = np.unique(np.concatenate(found)) if found else np.empty(0, dtype=np.int64)
+    found: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+    for signal in signals:
+        values = signal.codes if isinstance(signal, Labels) else signal
+        same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+        found.append(np.flatnonzero(~same) + 1)
+    at = np.unique(np.concatenate(found))
     if len(at) < 2:
         return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
     usual = min(float(np.median(np.diff(time_s[rows]))) for rows in found if len(rows) > 1)
-    at = _bursts(at, time_s, usual)
-    edges, rows = [time_s[at[0]]], []
-    for before, now in itertools.pairwise(at):
-        pieces = (
-            max(1, round((time_s[now] - time_s[before]) / usual)) if time_s[now] - time_s[before] > 1.5 * usual else 1
-        )
+    whole: list[int] = []  # rows at which refreshes are complete: what comes within 0.4 of the usual time is one
+    begin = -np.inf
+    for row in at:
+        if time_s[row] - begin <= 0.4 * usual:
+            whole[-1] = int(row)
+        else:
+            begin = time_s[row]
+            whole.append(int(row))
+    edges, rows = [time_s[whole[0]]], []
+    for before, now in itertools.pairwise(whole):
+        took = time_s[now] - time_s[before]
+        pieces = max(1, round(took / usual)) if took > 1.5 * usual else 1
         edges += list(np.linspace(time_s[before], time_s[now], pieces + 1)[1:])
         rows += [before] * (pieces - 1) + [now]
     return np.array(edges[:-1]), np.array(edges[1:]), np.array(rows, dtype=np.int64)
-
-
-def _changes(signal: ColumnData) -> NDArray[np.int64]:
-    values = signal.codes if isinstance(signal, Labels) else signal
-    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-    return np.asarray(np.flatnonzero(~same) + 1)
-
-
-def _bursts(at: NDArray[np.int64], time_s: Array, usual_s: float) -> NDArray[np.int64]:
-    """Rows at which refreshes are complete: changes within 0.4 of the usual time are one refresh of several topics."""
-    result: list[int] = []
-    begin = -np.inf
-    for row in at:
-        if time_s[row] - begin <= 0.4 * usual_s:
-            result[-1] = int(row)
-        else:
-            begin = time_s[row]
-            result.append(int(row))
-    return np.array(result, dtype=np.int64)
 
 
 def average_windows(
@@ -244,72 +235,58 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
     columns: dict[str, ColumnData] = {"time_s": time - time[0]}
     told: set[str] = set()
     for name, signal in signals.items():
-        fill = signal.fill or _fill(signal, time)
-        columns[name] = _onto(signal, time, fill)
-        silent = _longest_gap(signal.time_s, time)
-        usual = usual_step(signal.time_s)
-        even = _even(signal.time_s, usual)
-        long_s, near_s = max(1.0, 10.0 * usual), 2.5 * usual
-        long = silent > long_s
-        if long or (silent > near_s and even):
-            action = "interpolated" if fill == "linear" else "the value before was held"
-            if long and even and not isinstance(onto := columns[name], Labels):
-                unknown = _unknown(signal, time, long_s, near_s)
-                columns[name] = np.where(unknown, np.nan, onto)
-                action = "missing there" if unknown.any() else action
-            if signal.topic not in told:
-                message = f"no message of {signal.topic} for {silent:.3g} s"
-                remarks.append(Remark("gap", name, message, action, "warning" if long else "note"))
+        columns[name], remark = _onto(name, signal, time)
+        if remark is not None and signal.topic not in told:
+            remarks.append(remark)
             told.add(signal.topic)
     return RawTable(file, columns, remarks=remarks)
 
 
-def _fill(signal: Signal, time: Array) -> str:
-    if isinstance(signal.values, Labels) or len(signal.time_s) < 3 or len(time) < 3:
-        return "hold"
-    denser = usual_step(time) > _DENSER * usual_step(signal.time_s)
-    known = signal.values[np.isfinite(signal.values)]
-    counts = len(known) > 0 and bool((known == np.round(known)).all())
-    wraps = len(known) > 1 and float(np.abs(np.diff(known)).max()) > 0.8 * float(np.ptp(known)) > 0
-    return "mean" if denser and not counts and not wraps else "hold"
-
-
-def _onto(signal: Signal, time: Array, fill: str) -> ColumnData:
-    index = np.clip(np.searchsorted(signal.time_s, time, side="right") - 1, 0, len(signal.time_s) - 1)
-    if isinstance(signal.values, Labels) or fill == "hold":
-        return signal.values[index]
-    known = np.isfinite(signal.values)
-    if fill == "linear" and known.any():
-        return np.asarray(np.interp(time, signal.time_s[known], signal.values[known]))
-    middle = 0.5 * (time[1:] + time[:-1])
-    edges = np.asarray(np.searchsorted(signal.time_s, np.r_[-np.inf, middle, np.inf]))
-    total = np.r_[0.0, np.cumsum(np.where(known, signal.values, 0.0))]
-    count: NDArray[np.int64] = np.concatenate([[0], np.cumsum(known)])
-    rows = count[edges[1:]] - count[edges[:-1]]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = (total[edges[1:]] - total[edges[:-1]]) / rows
-    return np.where(rows > 0, mean, signal.values[index])
-
-
-def _even(time: Array, usual: float) -> bool:
-    """Whether messages come at an even pace, so that a hole of a few is one."""
-    return len(time) > 20 and float(np.mean(np.abs(np.diff(time) - usual) < 0.2 * usual)) > 0.9
-
-
-def _unknown(signal: Signal, time: Array, long_s: float, near_s: float) -> NDArray[np.bool_]:
-    """Rows in a long silence of a topic that tells something all the time, and then tells something else; what was
-    nought or comes back as it was may have stayed so."""
-    at, values = signal.time_s, np.asarray(signal.values)
-    index = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 2)
-    silent = (at[index + 1] - at[index] > long_s) & (time - at[index] > near_s) & (at[index + 1] - time > near_s)
-    return np.asarray(silent & (values[index] != 0.0) & (values[index + 1] != values[index]))
+def _onto(name: str, signal: Signal, time: Array) -> tuple[ColumnData, Remark | None]:
+    """A signal at the times of the rows, and what is said of a silence of its topic."""
+    at, values, fill, usual = signal.time_s, signal.values, signal.fill, usual_step(signal.time_s)
+    index = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 1)
+    numbers = np.empty(0) if isinstance(values, Labels) else values
+    known = np.isfinite(numbers)
+    if fill is None:
+        fill = "hold"
+        if known.any() and len(at) >= 3 and len(time) >= 3 and usual_step(time) > _DENSER * usual:
+            some = numbers[known]
+            counts = bool((some == np.round(some)).all())
+            wraps = len(some) > 1 and float(np.abs(np.diff(some)).max()) > 0.8 * float(np.ptp(some)) > 0
+            fill = "hold" if counts or wraps else "mean"
+    data = values[index]
+    if len(numbers) and fill == "linear" and known.any():
+        data = np.asarray(np.interp(time, at[known], numbers[known]))
+    elif len(numbers) and fill != "hold":
+        edges = np.asarray(np.searchsorted(at, np.r_[-np.inf, 0.5 * (time[1:] + time[:-1]), np.inf]))
+        total = np.r_[0.0, np.cumsum(np.where(known, numbers, 0.0))]
+        count: NDArray[np.int64] = np.concatenate([[0], np.cumsum(known)])
+        rows = count[edges[1:]] - count[edges[:-1]]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            data = np.where(rows > 0, (total[edges[1:]] - total[edges[:-1]]) / rows, numbers[index])
+    inside = at[(at >= time[0]) & (at <= time[-1])]
+    silent = float(np.max(np.diff(inside))) if len(inside) > 1 else 0.0
+    # at an even pace a hole of a few messages is one
+    even = len(at) > 20 and float(np.mean(np.abs(np.diff(at) - usual) < 0.2 * usual)) > 0.9
+    long_s, near_s = max(1.0, 10.0 * usual), 2.5 * usual
+    long = silent > long_s
+    if not (long or (silent > near_s and even)):
+        return data, None
+    action = "interpolated" if fill == "linear" else "the value before was held"
+    if long and even and len(numbers):
+        # in a long silence of a topic that tells something all the time, and then tells something else, nothing is
+        # known; what was nought or comes back as it was may have stayed so
+        before = np.minimum(index, len(at) - 2)
+        after = before + 1
+        unknown = (at[after] - at[before] > long_s) & (time - at[before] > near_s) & (at[after] - time > near_s)
+        unknown &= (numbers[before] != 0.0) & (numbers[after] != numbers[before])
+        data = np.where(unknown, np.nan, np.asarray(data))
+        action = "missing there" if unknown.any() else action
+    message = f"no message of {signal.topic} for {silent:.3g} s"
+    return data, Remark("gap", name, message, action, "warning" if long else "note")
 
 
 def usual_step(time: Array) -> float:
     """Median step between times [s]; infinite where there is one."""
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
-
-
-def _longest_gap(time: Array, rows: Array) -> float:
-    inside = time[(time >= rows[0]) & (time <= rows[-1])]
-    return float(np.max(np.diff(inside))) if len(inside) > 1 else 0.0

@@ -124,8 +124,8 @@ def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
     if yaw is not None and heading is not None:
         full = 360.0 if float(np.ptp(heading)) > 4 * np.pi and float(np.abs(heading).max()) <= 360.0 else 2 * np.pi
         turned = float(np.abs(np.diff(np.unwrap(heading, period=full))).sum())
-        told = float(np.trapezoid(np.abs(yaw), time))
-        _ratio(rows, "yaw_rate_rad_s", "the changes of heading_rad", told, turned, loose=True)
+        summed = float(np.trapezoid(np.abs(yaw), time))
+        _ratio(rows, "yaw_rate_rad_s", "the changes of heading_rad", summed, turned, loose=True)
     accel = number.get("accel_m_s2")
     if accel is not None and speed is not None and len(time) > 50:
         # over a second, for the noise of two successive speeds drowns their difference
