@@ -89,9 +89,8 @@ class Mapper:
 
     def evaluate(
         self, source: Mapping[str, ColumnData], only: Collection[str] | None = None
-    ) -> tuple[dict[str, ColumnData], dict[str, Any]]:
-        """The map's columns from those of the source (`only` these of them and of the helpers, where that is given);
-        and all that a formula may name: constants, columns of the source, helpers, and columns of the map."""
+    ) -> tuple[dict[str, ColumnData], dict[str, ColumnData]]:
+        """The map's columns, and its helpers, from the columns of the source; where `only` is given, these alone."""
         rows = len(next(iter(source.values())))
         values: dict[str, Any] = {**self.constants, **source}
         result: dict[str, ColumnData] = {}
@@ -102,7 +101,8 @@ class Mapper:
                 data = result[name] = self._column(name, self.spec.columns[name], values, result, rows)
             if name not in source and (name in self.let or name not in self.constants):
                 values[name] = data
-        return {name: result[name] for name in self.spec.columns if name in result}, values
+        helpers = {name: values[name] for name in self.let if name in values}
+        return {name: result[name] for name in self.spec.columns if name in result}, helpers
 
     def run(self, formula: Expression, values: Mapping[str, ColumnData | float], rows: int) -> ColumnData:
         """Value of a formula in every row; InputError where it cannot be computed."""

@@ -213,7 +213,7 @@ def _columns(
     """Columns of the map in the rows that are kept, of the source with the helpers, their rows, and what is said."""
     spec, raw = mapper.spec, mapper.raw
     source = _taken(raw.columns, rows)
-    result, values = mapper.evaluate(source)
+    result, helpers = mapper.evaluate(source)
     if spec.others:
         result |= {name: data for name, data in source.items() if name not in result and name not in spec.signals}
     told = "'{}' is this very word in every row, although the source has a column of that name"
@@ -222,9 +222,10 @@ def _columns(
         for name, column in spec.columns.items()
         if column.text is not None and column.text in raw.columns
     ]
-    source |= {name: values[name] for name in mapper.let}
+    source |= helpers
     if mapper.keep is not None:
-        keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, {**values, **result, **source}, len(rows)))) != 0
+        met = mapper.run(mapper.keep, {**mapper.constants, **result, **source}, len(rows))
+        keep = np.nan_to_num(np.asarray(met)) != 0
         if not keep.all():
             left = int((~keep).sum())
             message = f"{left} of {len(keep)} rows do not meet '{spec.keep}'"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from missionsim.inputs.tree import read_document
 from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData
-from missionsim.logs.readers import Options, Reader, Recording, reader_of
+from missionsim.logs.readers import Options, Reader, reader_of
 from missionsim.logs.times import is_stamp
 from missionsim.physics import Array
 
@@ -148,21 +148,21 @@ class Field:
 def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> list[Field]:
     """What a source holds, for listings and suggestions: columns of a table, or fields of the topics of a recording. At
     most `most` rows or messages of a topic are looked at."""
-    return list(_fields(path, reader or reader_of(path), most))
-
-
-def _fields(path: Path, reader: Reader, most: int) -> Iterator[Field]:
+    reader = reader or reader_of(path)
     if reader.table is not None:
-        raw = reader.table(path, Options(most=most))
-        for name, data in raw.columns.items():
-            yield Field(name, "number" if isinstance(data, np.ndarray) else "text", len(data), data)
-        return
+        columns = reader.table(path, Options(most=most)).columns
+        return [Field(name, _kind(data), len(data), data) for name, data in columns.items()]
     assert reader.recording is not None
-    found: Recording = reader.recording(path, Options(most=most))
-    for topic in sorted(found.topics, key=lambda topic: topic.name):
-        for name, data in topic.columns.items():
-            kind = "number" if isinstance(data, np.ndarray) else "text"
-            yield Field(f"{topic.name}.{name}", kind, topic.count or len(data), data, topic.time_s, topic.title)
+    topics = sorted(reader.recording(path, Options(most=most)).topics, key=lambda topic: topic.name)
+    return [
+        Field(f"{one.name}.{name}", _kind(data), one.count or len(data), data, one.time_s, one.title)
+        for one in topics
+        for name, data in one.columns.items()
+    ]
+
+
+def _kind(data: ColumnData) -> str:
+    return "text" if isinstance(data, Labels) else "number"
 
 
 @dataclass(frozen=True)
@@ -181,13 +181,14 @@ class Role:
     """Both: what the 95 % point of the magnitude lies between, in the glossary's unit."""
 
 
-def _pattern(given: str | list[str]) -> str:
-    """A pattern, or any of several; some have names."""
-    return "|".join(WORDS["patterns"].get(one, one) for one in ([given] if isinstance(given, str) else given))
-
-
 def _role(name: str, told: dict[str, Any]) -> Role:
-    return Role(name, **told | {key: _pattern(told[key]) for key in ("words", "prefer", "avoid") if key in told})
+    """A role as the file says it: a pattern may be one of several, and some have names."""
+    patterns = {
+        key: "|".join(WORDS["patterns"].get(one, one) for one in ([given] if isinstance(given, str) else given))
+        for key, given in told.items()
+        if key in ("words", "prefer", "avoid")
+    }
+    return Role(name, **told | patterns)
 
 
 ROLES = {name: _role(name, told) for name, told in WORDS["roles"].items()}
@@ -218,13 +219,6 @@ class Guess:
     def as_json(self) -> dict[str, str]:
         """For ``--json``."""
         return {"role": self.role, "field": self.field, "unit": self.unit, "sure": self.sure, "why": self.why}
-
-
-def _inner(name: str) -> str:
-    """A field without its topic or file, unless all that is left says nothing (``/battery/voltage.data``)."""
-    topic = re.match(r"(/[^.\[]+(?:\[[^\]]+\])?|[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", name)
-    inner = name[topic.end() :] if topic else name
-    return name if inner in ("data", "value") else inner
 
 
 def folded(field: Field) -> str | None:
@@ -262,7 +256,10 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     of_type = typical != "" and field.name.endswith(typical)
     unit = typical_unit if of_type and typical_unit else unit
     dimension = UNITS[unit][0] if unit else ""
-    tail = words_of(_inner(field.name))[0]
+    # a field without its topic or file, unless all that is left says nothing (``/battery/voltage.data``)
+    topic = re.match(r"(/[^.\[]+(?:\[[^\]]+\])?|[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", field.name)
+    inner = field.name[topic.end() :] if topic else field.name
+    tail = words_of(field.name if inner in ("data", "value") else inner)[0]
     named = re.search(role.words, tail) is not None or (words == "" and dimension == role.dimension != "")
     if role.name == "time":
         return _as_time(field, words, unit, named)
@@ -291,12 +288,15 @@ def guess_role(field: Field, role: Role) -> Guess | None:
         score -= 0.5
         factor = 1.0
         reasons.append(f"its unit {strange[1]} is not known, so it was not converted")
-    elif not unit:
-        unit, factor, told = _by_size(role, large)
-        reasons += [told] * bool(told)
-        score -= 0.2 * bool(told)
     else:
-        factor = UNITS[unit][1]
+        # without a unit the glossary's, unless the values are far too large for it
+        sizes = WORDS["sizes"].get(role.dimension, {}) if not unit and role.name not in ("left", "right") else {}
+        fits = (u for u, limit in sizes.items() if large <= limit and large * (UNITS[u][1] if u else 1.0) <= role.high)
+        if by_size := next(fits, ""):
+            unit = by_size
+            reasons.append(f"{unit} by its size (up to {large:.4g})")
+            score -= 0.2
+        factor = UNITS[unit][1] if unit else 1.0
     if not role.low <= large * factor <= role.high:
         score -= 0.7
         reasons.append(f"its values, up to {large:.4g}, do not fit well")
@@ -308,16 +308,6 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     sure = "sure" if score >= 1.7 else "likely" if score >= 0.9 else "a guess"
     plain = "" if unit and UNITS[unit][1] == 1.0 and unit != "K" else unit
     return Guess(role.name, field.name, plain, score, ", ".join(reasons), sure)
-
-
-def _by_size(role: Role, large: float) -> tuple[str, float, str]:
-    """Unit of a column without one, its factor, and why: the glossary's, unless the values are far too large."""
-    if role.name in ("left", "right"):
-        return "", 1.0, ""
-    for unit, limit in WORDS["sizes"].get(role.dimension, {}).items():
-        if large <= limit and large * (UNITS[unit][1] if unit else 1.0) <= role.high:
-            return unit, UNITS[unit][1] if unit else 1.0, f"{unit} by its size (up to {large:.4g})" if unit else ""
-    return "", 1.0, ""
 
 
 def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
@@ -333,26 +323,20 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     step = np.diff(known)
     if (step < 0).mean() > 0.05 or (step > 0).mean() < 0.02:
         return None
+    usual = float(np.median(step[step > 0]))
     score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
     epoch = float(np.median(known)) > 1e8
-    if (
-        not unit
-        and (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5)
-        and known[-1] - known[0] < 3
-        and 0 < np.median(step) < 1e-3
-    ):
+    in_days = (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5) and known[-1] - known[0] < 3
+    if not unit and in_days and 0 < np.median(step) < 1e-3:
         return Guess("time", field.name, "d", score, "days, as spreadsheets count them", "likely")
     why = "grows from row to row" + (", an epoch" if epoch else f", {unit}" if unit else "")
-    usual = float(np.median(step[step > 0]))
     if not unit and not epoch and usual >= 5.0 and (step == np.round(step)).all():
         # whole numbers that are no seconds: the unit in which a row lasts 1 ms to 10 s, and all of them 20 s or more
         span = float(known[-1] - known[0])
-        fits = (
-            name for name in ("ms", "us", "ns") if 1e-3 <= usual * UNITS[name][1] <= 10 and span * UNITS[name][1] > 20
-        )
+        scales = {name: UNITS[name][1] for name in ("ms", "us", "ns")}
+        fits = (name for name, scale in scales.items() if 1e-3 <= usual * scale <= 10 and span * scale > 20)
         if fine := next(fits, ""):
             return Guess("time", field.name, fine, score - 0.3, f"{why}, {fine} by its steps of {usual:g}", "likely")
-    return Guess(
-        "time", field.name, "" if unit == "s" or epoch else unit, score, why, "sure" if score > 1.2 else "likely"
-    )
+    sure = "sure" if score > 1.2 else "likely"
+    return Guess("time", field.name, "" if unit == "s" or epoch else unit, score, why, sure)

@@ -132,7 +132,7 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
 
 
 def columns_of(
-    messages: Sequence[Mapping[str, Any]], wanted: Collection[str] | None = None, topic: str = ""
+    messages: Sequence[Mapping[str, object]], wanted: Collection[str] | None = None, topic: str = ""
 ) -> dict[str, ColumnData]:
     """Each field of the messages of a topic as a column: numbers, NaN where missing, or texts. `wanted`: fields, as
     ``topic.field``; all by default."""
@@ -149,7 +149,7 @@ def columns_of(
     return columns
 
 
-def _finite(value: float) -> float:
+def _finite(value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
