@@ -131,9 +131,8 @@ class MissionSpec(RobotAtSite):
     def faults(self) -> list[Fault]:
         """What does not go together with the robot and the environment, as far as these could be loaded."""
         from missionsim.inputs.check_mission import check_mission
-        from missionsim.inputs.check_robot import unread
 
-        return [*check_mission(self), *unread(self)]
+        return check_mission(self)
 
     @overload
     def setting(self, segment: object, key: Literal["speed", "yaw_rate", "payload"]) -> Parameter | None: ...

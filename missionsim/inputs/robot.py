@@ -180,11 +180,6 @@ class BodySpec(Model):
     track_width: values.Length | None = None
     regeneration: values.Fraction = Parameter(0.0, status="assumed")
 
-    @property
-    def moves_sideways(self) -> bool:
-        """Whether `move` segments with a direction are possible."""
-        return self.drive in ("mecanum", "omni")
-
 
 class MotionSpec(Model):
     """Base power of moving, on one battery; `model` is a registered motion model, ``expression`` or ``none``."""

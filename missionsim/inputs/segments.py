@@ -216,10 +216,14 @@ Segment = Annotated[
 ]
 
 
+def every_segment(segments: Iterable[SegmentSpec | RepeatSegment]) -> Iterator[SegmentSpec | RepeatSegment]:
+    """Segments and blocks, also those inside blocks, each once."""
+    for segment in segments:
+        yield segment
+        if isinstance(segment, RepeatSegment):
+            yield from every_segment(segment.segments)
+
+
 def flat_segments(segments: Iterable[SegmentSpec | RepeatSegment]) -> Iterator[SegmentSpec]:
     """Segments that are no repeats, each once."""
-    for segment in segments:
-        if isinstance(segment, RepeatSegment):
-            yield from flat_segments(segment.segments)
-        else:
-            yield segment
+    return (segment for segment in every_segment(segments) if not isinstance(segment, RepeatSegment))
