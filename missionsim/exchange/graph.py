@@ -177,8 +177,8 @@ def _speed(edge: Part, site: Site) -> float | None:
         raw = next((edge.attributes[key] for key in _KMH if edge.attributes.get(key) is not None), None)
         if raw is None:
             return None
-        match = re.search(r"(\d+(?:\.\d+)?)\s*(mph)?", str(raw))
-        speed = float(match.group(1)) * (0.44704 if match.group(2) else 1 / 3.6) if match else None
+        found = re.findall(r"(\d+(?:\.\d+)?)\s*(mph)?", str(raw))  # of several the lowest holds
+        speed = min((float(number) * (0.44704 if unit else 1 / 3.6) for number, unit in found), default=None)
     if speed is None or not 0.0 < speed <= 60.0:
         site.tell("left out: speed of an edge that is not between 0 and 60 m/s", edge.line)
         return None

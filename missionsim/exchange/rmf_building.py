@@ -16,7 +16,9 @@ from missionsim.exchange.source import Value
 
 _SYSTEMS = ("reference_image", "wgs84", "web_mercator", "cartesian_meters")
 _LANE_USED = {"bidirectional", "is_bidirectional", "graph_idx", "speed_limit"}
-_VERTEX_USED = {"is_charger", "lift_cabin", "name"}
+_VERTEX_USED = {"is_charger", "lift_cabin", "lift", "name"}
+_SHAFT_GAP_M = 0.05
+"""Between a cabin and its shaft, as rmf_building_map_tools has it: what stands in the shaft is in the lift."""
 _USED = {"building_name", "name", "coordinate_system", "levels", "lifts", "reference_level_name", "graphs"}
 _LEVEL_USED = {"vertices", "lanes", "measurements", "fiducials", "elevation", "drawing", "x_meters", "y_meters"}
 _LEVEL_USED |= {"flattened_x_offset", "flattened_y_offset"}
@@ -46,8 +48,11 @@ def read(root: Value, site: Site) -> None:
         found.fault("an unknown coordinate system", ", ".join(_SYSTEMS))
     _left(root, _USED, site)
     levels = {name: _Level(name, value) for name, value in root.items("levels")}
+    if any(_is_generated(vertex) for level in levels.values() for vertex in level.value.entries("vertices")):
+        site.format, system = "Open-RMF navigation graph", "cartesian_meters"
+    flip = -1.0 if system in ("reference_image", "web_mercator") else 1.0
     for level in levels.values():
-        _read_level(level, site, -1.0 if system in ("reference_image", "web_mercator") else 1.0)
+        _read_level(level, site, flip)
     if not levels:
         root.fault("a building without levels", "levels: {L1: …}")
     if not levels or root.faults.found:
@@ -59,7 +64,7 @@ def read(root: Value, site: Site) -> None:
         _project(levels, site, mercator=system == "web_mercator")
     if root.faults.found:
         return
-    cabins = _cabins(root, levels, reference)
+    cabins = _cabins(root, levels, reference, flip, site)
     _align_by_lifts(levels, reference, cabins, site, system)
     _build(levels, cabins, site)
 
@@ -99,6 +104,20 @@ def _index(part: Value, level: _Level) -> int | None:
         return part.data
     part.fault("no vertex has this number", f"0 to {len(level.vertices) - 1}")
     return None
+
+
+def _is_generated(vertex: Value) -> bool:
+    """Whether it is ``[x, y, {name: …}]``, of a graph that was generated of a map: metres, y upwards."""
+    parts = vertex.entries()
+    return len(parts) == 3 and isinstance(parts[2].data, dict)
+
+
+def _named(vertex: Value) -> tuple[str, dict[str, Any]]:
+    """Name (empty where there is none) and parameters of a vertex: ``[x, y, z, name, {…}]``, or a generated one."""
+    parts = vertex.entries()
+    parameters = _parameters(parts[-1]) if len(parts) > 4 or _is_generated(vertex) else {}
+    word = parts[3].data if len(parts) > 3 else parameters.get("name")
+    return str(word or "").strip(), parameters
 
 
 def _parameters(value: Value) -> dict[str, Any]:
@@ -196,7 +215,9 @@ def _project(levels: dict[str, _Level], site: Site, mercator: bool) -> None:
         levels[name].points[index] = complex(*plane.to_metres(*where))
 
 
-def _cabins(root: Value, levels: dict[str, _Level], reference: _Level) -> dict[tuple[str, int], str]:
+def _cabins(
+    root: Value, levels: dict[str, _Level], reference: _Level, flip: float, site: Site
+) -> dict[tuple[str, int], str]:
     """Lift of each vertex that stands in a cabin: named by the vertex, or inside the lift's rectangle."""
     result: dict[tuple[str, int], str] = {}
     rectangles = []
@@ -205,20 +226,23 @@ def _cabins(root: Value, levels: dict[str, _Level], reference: _Level) -> dict[t
         numbers = [lift.optional(key) for key in ("x", "y", "yaw", "width", "depth")]
         x, y, yaw, width, depth = (0.0 if number is None else number for number in numbers)
         served = {key for key, doors in lift.items("level_doors") if doors.data}
-        rectangles.append((name, home.at(complex(x, -y)), cmath.rect(1.0, -yaw), width, depth, served))
+        half = width / 2 + _SHAFT_GAP_M, depth / 2 + _SHAFT_GAP_M
+        rectangles.append((name, home.at(complex(x, flip * y)), cmath.rect(1.0, -yaw), *half, served))
     for level in levels.values():
         used = {end for lane in level.lanes for end in lane[:2]}
         for index, vertex in enumerate(level.vertices):
-            parts = vertex.entries()
-            parameters = _parameters(parts[4]) if len(parts) > 4 else {}
+            parameters = _named(vertex)[1]
             point = level.points[index]
-            if cabin := parameters.get("lift_cabin"):
+            if cabin := parameters.get("lift_cabin") or parameters.get("lift"):
                 result[level.name, index] = str(cabin)
             elif index in used and point is not None:
                 for name, centre, back, width, depth, served in rectangles:
                     away = (level.at(point) - centre) * back
-                    if level.name in served and abs(away.real) <= width / 2 and abs(away.imag) <= depth / 2:
+                    if level.name in served and abs(away.real) <= width and abs(away.imag) <= depth:
                         result[level.name, index] = name
+    for name, lift in root.items("lifts"):
+        if len({level for (level, _), cabin in result.items() if cabin == name}) < 2:
+            site.tell(f"left out: lift '{clean(name)[:40]}', in which no vertices of two levels stand", lift.line)
     return result
 
 
@@ -240,7 +264,12 @@ def _align_by_lifts(
 def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: Site) -> None:
     """A place for each vertex with a name or a lane; the cabins of a lift are one place."""
     names: dict[tuple[str, int], str] = {}
-    words = {key: str(parts[3].data) for level in levels.values() for key, parts in _named(level)}
+    words = {
+        (level.name, index): word
+        for level in levels.values()
+        for index, vertex in enumerate(level.vertices)
+        if (word := _named(vertex)[0])
+    }
     several = len([level for level in levels.values() if level.lanes or any(key[0] == level.name for key in words)]) > 1
     lifts: dict[str, str] = {}
     for level in levels.values():
@@ -249,10 +278,8 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
             key, point = (level.name, index), level.points[index]
             if point is None or not (index in used or key in words or key in cabins):
                 continue
-            parts = vertex.entries()
-            parameters = _parameters(parts[4]) if len(parts) > 4 else {}
-            if len(parts) > 4:
-                site.left_out("a vertex", ((name, vertex) for name, _ in parts[4].items()), _VERTEX_USED)
+            parameters = _named(vertex)[1]
+            site.left_out("a vertex", ((name, vertex) for name, value in parameters.items() if value), _VERTEX_USED)
             if (cabin := cabins.get(key)) in lifts:
                 names[key] = lifts[str(cabin)]
                 continue
@@ -272,11 +299,6 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
             ends = names.get((level.name, start)), names.get((level.name, end))
             if ends[0] is not None and ends[1] is not None:
                 _lane(ends[0], ends[1], parameters, lane, site)
-
-
-def _named(level: _Level) -> list[tuple[tuple[str, int], list[Value]]]:
-    listed = [((level.name, index), vertex.entries()) for index, vertex in enumerate(level.vertices)]
-    return [(key, parts) for key, parts in listed if len(parts) > 3 and str(parts[3].data or "").strip()]
 
 
 def _lane(start: str, end: str, parameters: dict[str, Any], lane: Value, site: Site) -> None:

@@ -130,3 +130,51 @@ def test_what_a_track_holds_beside_its_way_is_told(tmp_path: Path) -> None:
     remarks = site_of(tmp_path / "t.gpx", text).remarks
     assert {f"left out: {what}" for what in ("metadata of a gpx", "type of a trk", "hdop of a trkpt")} <= set(remarks)
     assert remarks["left out: time of a trkpt"].count == 2
+
+
+def test_navigation_graph_generated_of_a_map(tmp_path: Path) -> None:
+    text = """building_name: hall
+levels:
+  L1:
+    lanes: [[0, 1, {speed_limit: 0.4}], [1, 0, {}], [1, 2, {is_bidirectional: true}]]
+    vertices: [[0, -7, {name: ''}], [3, -3, {name: dock, is_charger: true}], [3, 0, {name: a, lift: lift1}]]
+  L2:
+    lanes: [[0, 1, {}]]
+    vertices: [[3, 0, {name: b, lift: lift1}], [3, 2, {name: roof, is_parking_spot: false}]]
+lifts:
+  lift2: {}
+"""
+    site = site_of(tmp_path / "0.yaml", text)
+    assert (site.format, site.chargers) == ("Open-RMF navigation graph", ["dock"])
+    assert [(place["x"], place["y"]) for place in site.places.values()] == [(0, -7), (3, -3), (3, 0), (3, 2)]
+    assert lengths(site) == [5.0, 5.0, 3.0, 2.0]
+    assert (site.edges[3]["from"], site.edges[3]["to"]) == (site.edges[2]["to"], "roof")  # the lift joins both levels
+    assert any("lift2" in message for message in site.remarks)
+    assert not any("is_parking_spot" in message for message in site.remarks)
+
+
+def test_lift_of_a_map_in_metres_joins_its_levels(tmp_path: Path) -> None:
+    level = """
+    vertices: [[5, 5.02, 0, {0}_lift], [9, 5, 0, {0}_end]]
+    lanes: [[0, 1, {{bidirectional: [4, true]}}]]"""
+    text = "coordinate_system: cartesian_meters\nname: m\nlevels:\n  L1:" + level.format("one") + "\n  L2:"
+    text += (
+        level.format("two")
+        + "\nlifts:\n  up: {x: 5, y: 5, yaw: 0, width: 2, depth: 2, level_doors: {L1: [d], L2: [d]}}\n"
+    )
+    site = site_of(tmp_path / "m.building.yaml", text)
+    assert len({edge["from"] for edge in site.edges}) == 1
+
+
+def test_survey_whose_writer_left_out_its_items(tmp_path: Path) -> None:
+    survey = {"VisualTransectPoints": [[47.0, 8.0], [47.001, 8.0]]}
+    items = [{"type": "ComplexItem", "complexItemType": "survey", "TransectStyleComplexItem": survey}]
+    site = site_of(tmp_path / "s.plan", {"fileType": "Plan", "mission": {"items": items, "vehicleType": 10}})
+    assert lengths(site) == pytest.approx([111.18], rel=1e-3)
+
+
+def test_lowest_of_several_speeds_of_a_street(tmp_path: Path) -> None:
+    nodes = [{"id": "a", "x": 0, "y": 0}, {"id": "b", "x": 9, "y": 0}]
+    street = {"source": "a", "target": "b", "maxspeed": "['50', '30', '25 mph']"}
+    site = site_of(tmp_path / "g.json", {"nodes": nodes, "links": [street]})
+    assert site.edges[0]["max_speed"] == pytest.approx(30 / 3.6)
