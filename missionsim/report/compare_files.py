@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
+from missionsim.compare import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.axes import PlaceCell
-from missionsim.compare.behaviour import PARTS
+from missionsim.compare.behaviour import OF_SCHEME, PARTS
 from missionsim.physics import Array
 from missionsim.report.terminal import signed, simple_table
 from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 from missionsim.results.write import write_table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -31,44 +30,34 @@ RUN_ROWS = 24
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print the verdict, the numbers by battery and run, where it fails, and what was assumed."""
-    _summary(comparison, console)
-    for one in comparison.batteries.values():
-        console.print()
-        for sentence in one.words:
-            console.print(sentence)
-        _where(one, console)
-        _behaviour(one, console)
-        _runs(one, console)
-    if comparison.notes:
-        console.print("\nAssumed and remarked", style="bold")
-        for note in comparison.notes:
-            console.print(f"- {note}")
-
-
-def _summary(comparison: Comparison, console: Console) -> None:
     count = len(comparison.runs)
     title = f"{comparison.robot or 'model'}: model against measurements, {count} {'runs' if count != 1 else 'run'}"
-    columns = [
-        *("battery", ">measured Wh", ">model Wh", ">error %", ">RMSE W", ">bias W"),
-        *(">peak %", ">final %", ">mean %", ">std %"),
-    ]
-    rows = []
+    columns = ["battery", ">measured Wh", ">model Wh", ">error %", ">RMSE W", ">bias W"]
+    rows: list[list[str]] = []
     for one in comparison.batteries.values():
         found = one.error_statistics
         row = [one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}"]
         row += [_plain(one.energy_error_pct, "+.2f"), f"{one.power_rmse_w:.3g}", f"{one.power_bias_w:+.3g}"]
-        row += map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))
-        rows.append(row)
-    console.print(simple_table(title, columns, rows))
+        rows.append([*row, *map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))])
+    console.print(simple_table(title, [*columns, ">peak %", ">final %", ">mean %", ">std %"], rows))
     notes = ["error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs"]
     untold = [name for name, one in comparison.batteries.items() if not math.isfinite(one.error_statistics.final_pct)]
     if untold:
         notes.append(f"no relative error over progress for {', '.join(untold)}: the energy measured is not above zero")
     for note in notes:
         console.print(note, style="dim")
+    for one in comparison.batteries.values():
+        _print_battery(one, console)
+    if comparison.notes:
+        console.print("\nAssumed and remarked", style="bold")
+        for note in comparison.notes:
+            console.print(f"- {note}")
 
 
-def _where(one: BatteryComparison, console: Console) -> None:
+def _print_battery(one: BatteryComparison, console: Console) -> None:
+    console.print()
+    for sentence in one.words:
+        console.print(sentence)
     rows = []
     for where in [where for where in one.where if where.explains > 0.0][:WHERE_ROWS]:
         row = [where.title, f"{where.value} {where.unit}".strip(), f"{100.0 * where.explains:.1f}"]
@@ -79,40 +68,29 @@ def _where(one: BatteryComparison, console: Console) -> None:
         console.print(simple_table(f"Where it fails, battery {one.battery}", columns, rows))
         note = "explains: part of the error's variance that goes with the value; what varies together shares it"
         console.print(note, style="dim")
-
-
-def _behaviour(one: BatteryComparison, console: Console) -> None:
-    if one.mission is None:
-        return
-    gap = one.gap_wh
-    console.print(
-        f"measured − simulated {signed(gap['total'], 4)} Wh = power model {signed(gap['power_model'], 4)} Wh "
-        f"+ behaviour {signed(gap['behaviour'], 4)} Wh"
-    )
-    rows = [
-        (
-            scheme.scheme or "–",
-            *("–" if ratio is None else f"{ratio:.3f}" for ratio in (scheme.path_stretch, scheme.speed_tracking)),
-            f"{scheme.dwell_s:+.0f}",
-            *(signed(scheme.wh[one.battery][part], 4) for part in PARTS),
+    if one.mission is not None:
+        gap = one.gap_wh
+        console.print(
+            f"measured − simulated {signed(gap['total'], 4)} Wh = power model {signed(gap['power_model'], 4)} Wh "
+            f"+ behaviour {signed(gap['behaviour'], 4)} Wh"
         )
-        for scheme in one.mission.schemes
-    ]
-    columns = ["scheme", ">way ×", ">speed ×", ">dwell s", ">way Wh", ">speed Wh", ">stand Wh", ">rest Wh"]
-    console.print(simple_table("Behaviour against the plan", columns, rows))
-
-
-def _runs(one: BatteryComparison, console: Console) -> None:
-    if len(one.runs) < 2:
-        return
-    shown = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))[:RUN_ROWS]
-    more = f", the {RUN_ROWS} worst of {len(one.runs)}" if len(one.runs) > RUN_ROWS else ""
-    rows = []
-    for run in [run for run in one.runs if run in shown]:
-        row = [run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
-        rows.append([*row, _plain(run.energy_error_pct, "+.2f"), f"{run.power_rmse_w:.3g}"])
-    columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
-    console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))
+        rows = []
+        for scheme in one.mission.schemes:
+            ratios = (scheme.path_stretch, scheme.speed_tracking)
+            row = [scheme.scheme or "–", *("–" if ratio is None else f"{ratio:.3f}" for ratio in ratios)]
+            wh = scheme.wh[one.battery]
+            rows.append([*row, f"{scheme.dwell_s:+.0f}", *(signed(wh[part], 4) for part in PARTS)])
+        columns = ["scheme", ">way ×", ">speed ×", ">dwell s", ">way Wh", ">speed Wh", ">stand Wh", ">rest Wh"]
+        console.print(simple_table("Behaviour against the plan", columns, rows))
+    if len(one.runs) > 1:
+        shown = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))[:RUN_ROWS]
+        more = f", the {RUN_ROWS} worst of {len(one.runs)}" if len(one.runs) > RUN_ROWS else ""
+        rows = []
+        for run in [run for run in one.runs if run in shown]:
+            row = [run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
+            rows.append([*row, _plain(run.energy_error_pct, "+.2f"), f"{run.power_rmse_w:.3g}"])
+        columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
+        console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))
 
 
 def _plain(value: float, form: str = ".2f") -> str:
@@ -127,7 +105,6 @@ WHERE = (
     *("by", "value", "low", "high", "unit", "explains", "share_of_squared_error", "share_of_gap", "gap_wh", "bias_w"),
     "seconds",
 )
-BEHAVIOUR = ("scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m", "driven_m", "planned_s", "driven_s")
 """Columns of a table: attributes of what its rows tell."""
 
 
@@ -150,11 +127,11 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     }
     if comparison.mission:
         rows: list[Sequence[object]] = [
-            (b.battery, *attrgetter(*BEHAVIOUR)(scheme), *(scheme.wh[b.battery][part] for part in PARTS))
+            (b.battery, *attrgetter(*OF_SCHEME)(scheme), *(scheme.wh[b.battery][part] for part in PARTS))
             for b in batteries
             for scheme in (b.mission.schemes if b.mission is not None else ())
         ]
-        tables["behaviour"] = ((*BEHAVIOUR, *(f"{part}_wh" for part in PARTS)), rows)
+        tables["behaviour"] = ((*OF_SCHEME, *(f"{part}_wh" for part in PARTS)), rows)
     return [
         write_table(
             {key.rpartition(".")[2]: [row[i] for row in found] for i, key in enumerate(("battery", *columns))},
@@ -216,31 +193,25 @@ def covariate_figure(one: BatteryComparison) -> Figure:
     rows = -(-len(found) // columns)
     figure = new_figure(4.0 * columns, 3.2 * rows)
     for axes, dependence in zip(figure.subplots(rows, columns, squeeze=False).flat, found, strict=False):
-        _draw_covariate(axes, dependence)
+        bins = dependence.fine
+        numeric = bins[0].low is not None
+        x: Any = [0.5 * ((b.low or 0.0) + (b.high or 0.0)) for b in bins] if numeric else np.arange(len(bins))
+        axes.axhline(0.0, color="black", linewidth=0.8)
+        style: dict[str, Any] = {"color": MODEL, "ecolor": "#c3cad3", "marker": "o", "markersize": 4, "elinewidth": 1.0}
+        bias, spread = [b.bias_w for b in bins], [b.spread_w for b in bins]
+        axes.errorbar(x, bias, spread, linewidth=1.2 if numeric else 0.0, **style)
+        if not numeric:
+            step = max(1, -(-len(bins) // 12))
+            axes.set_xticks(x[::step], [literal(b.value) for b in bins][::step], rotation=35, ha="right", fontsize=8)
+        axes.set_xlabel(literal(f"{dependence.title}, {dependence.unit}" if dependence.unit else dependence.title))
+        axes.set_ylabel("error, W")
+        axes.set_title(f"goes with {100.0 * dependence.explained:.0f} % of the variance", fontsize=9, loc="right")
     for axes in figure.axes[len(found) :]:
         axes.set_visible(False)
     figure.suptitle(
         f"Power error (model − measured) by covariate, battery {one.battery}: mean and standard deviation", fontsize=11
     )
     return figure
-
-
-def _draw_covariate(axes: Axes, found: Dependence) -> None:
-    bins = found.fine
-    numeric = bins[0].low is not None
-    x: Any = np.arange(len(bins))
-    if numeric:
-        x = np.array([0.5 * ((b.low or 0.0) + (b.high or 0.0)) for b in bins])
-    axes.axhline(0.0, color="black", linewidth=0.8)
-    style: dict[str, Any] = {"color": MODEL, "ecolor": "#c3cad3", "marker": "o", "markersize": 4, "elinewidth": 1.0}
-    bias, spread = [b.bias_w for b in bins], [b.spread_w for b in bins]
-    axes.errorbar(x, bias, spread, linewidth=1.2 if numeric else 0.0, **style)
-    if not numeric:
-        step = max(1, -(-len(bins) // 12))
-        axes.set_xticks(x[::step], [literal(b.value) for b in bins][::step], rotation=35, ha="right", fontsize=8)
-    axes.set_xlabel(literal(f"{found.title}, {found.unit}" if found.unit else found.title))
-    axes.set_ylabel("error, W")
-    axes.set_title(f"goes with {100.0 * found.explained:.0f} % of the variance", fontsize=9, loc="right")
 
 
 def progress_figure(one: BatteryComparison) -> Figure:

@@ -33,11 +33,6 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
     subtitle = f"{count} {'runs' if count != 1 else 'run'}, {comparison.rows:,} rows"
     if comparison.mission:
         subtitle += f", mission {comparison.mission}"
-    return web.page(title, compare_sections(comparison, tolerance_pct=tolerance_pct), subtitle=subtitle, footer=footer)
-
-
-def compare_sections(comparison: Comparison, *, tolerance_pct: float | None = None) -> list[web.Section]:
-    """The sections of the page, for pages that show a comparison among other things."""
     batteries = list(comparison.batteries.values())
     sections = [web.Section("Result", [block for one in batteries for block in _result(one, tolerance_pct)])]
     parts: dict[str, Callable[[BatteryComparison], list[web.Block]]] = {
@@ -48,10 +43,15 @@ def compare_sections(comparison: Comparison, *, tolerance_pct: float | None = No
         "Behaviour and power model": _behaviour,
         "Runs and components": _runs,
     }
-    for title, make in parts.items():
+    for heading, make in parts.items():
         if made := [(one.battery, blocks) for one in batteries if (blocks := make(one))]:
-            sections.append(web.Section(title, draw.one_of("Battery", made)))
-    return [*sections, web.Section("What was assumed", _notes(comparison))]
+            sections.append(web.Section(heading, draw.one_of("Battery", made)))
+    assumed = web.Bullets(comparison.notes) if comparison.notes else web.Paragraph("Nothing had to be assumed.")
+    notes: list[web.Block] = [assumed]
+    if files := [[run, source] for run, source in comparison.logs if source]:
+        notes.append(web.Details("Files", [web.Table(["run", "file"], files)]))
+    sections.append(web.Section("What was assumed", notes))
+    return web.page(title, sections, subtitle=subtitle, footer=footer)
 
 
 def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Block]:
@@ -276,12 +276,3 @@ def _runs(one: BatteryComparison) -> list[web.Block]:
         web.Table(["component", "energy, Wh", "share"], parts, "Energy of the model by component", 4, 2),
         web.Details("Energy of the model by physical term", [web.Table(["term", "energy, Wh"], terms)]),
     ]
-
-
-def _notes(comparison: Comparison) -> list[web.Block]:
-    notes: web.Block = (
-        web.Bullets(comparison.notes) if comparison.notes else web.Paragraph("Nothing had to be assumed.")
-    )
-    files = [[run, source] for run, source in comparison.logs if source]
-    logs: list[web.Block] = [web.Details("Files", [web.Table(["run", "file"], files)])] if files else []
-    return [notes, *logs]

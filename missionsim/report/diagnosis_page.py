@@ -14,12 +14,42 @@ from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import energy_note, measured_note, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY
-from missionsim.report import page as web
-from missionsim.report import traces as draw
-from missionsim.report.page import COLOURS, Block, Chart, Section, Table, Tiles, Tone, Verdict, format_cell, label, page
-from missionsim.report.traces import RESIDUAL, Trace, axis, line
+from missionsim.report.page import (
+    COLOURS,
+    Block,
+    Bullets,
+    Chart,
+    Command,
+    Details,
+    Paragraph,
+    Section,
+    Table,
+    Tiles,
+    Tone,
+    Verdict,
+    format_cell,
+    label,
+    page,
+)
+from missionsim.report.traces import (
+    FITTED,
+    MARGIN,
+    MEASURED,
+    MODEL,
+    PALE,
+    RESIDUAL,
+    Trace,
+    axis,
+    band,
+    bars,
+    line,
+    one_of,
+    over_time,
+    shared_indices,
+    tiles,
+)
 
-TONES: dict[str, web.Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
+TONES: dict[str, Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
 TONES["unexplained_structure"] = "bad"
 TOTAL_POINTS = 60_000
 MOST_RUNS = 30
@@ -30,7 +60,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", l
     """The page as HTML. `footer`: how it was made (version, command); `robot`, `logs`: as they were given, for the
     command to type next."""
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
-    return web.page(
+    return page(
         f"{diagnosis.robot}: which effect is missing",
         diagnosis_sections(diagnosis, robot, logs),
         subtitle=f"{runs} runs fitted",
@@ -38,7 +68,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", l
     )
 
 
-def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str | Path] = ()) -> list[web.Section]:
+def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str | Path] = ()) -> list[Section]:
     """The sections of the page, for pages that show a diagnosis among other things."""
     sections = []
     several = len(diagnosis.batteries) > 1
@@ -52,19 +82,24 @@ def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str
             "What to drive next": _next(battery),
             "Details": _details(battery),
         }
-        sections += [web.Section(prefix + title, blocks) for title, blocks in parts.items() if blocks]
+        sections += [Section(prefix + title, blocks) for title, blocks in parts.items() if blocks]
     if diagnosis.skipped:
         told = [f"{name}: {why}" for name, why in diagnosis.skipped.items()]
-        sections.append(web.Section("Batteries that were not diagnosed", [web.Bullets(told)]))
+        sections.append(Section("Batteries that were not diagnosed", [Bullets(told)]))
     return sections
 
 
-def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool) -> list[web.Block]:
+def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool) -> list[Block]:
     cards = []
     command = sentences.next_step(battery, robot, logs, several) if robot else ""
-    if battery.effects or battery.proposed_laws:
-        size = battery.effects[0].energy_share if battery.effects else battery.proposed_laws[0].energy_share
-        cards.append(("How much", f"{100 * size:.1f} % of the energy", _interval(battery)))
+    if battery.effects:
+        effect = battery.effects[0]
+        interval = f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
+        told = interval if math.isfinite(effect.share_low) else ""
+        cards.append(("How much", f"{100 * effect.energy_share:.1f} % of the energy", told))
+    elif battery.proposed_laws:
+        share, half = 100 * battery.proposed_laws[0].energy_share, 196 * battery.proposed_laws[0].share_sd
+        cards.append(("How much", f"{share:.1f} % of the energy", f"95 %: {share - half:.1f} to {share + half:.1f} %"))
     if battery.heldout is not None:
         before, after = battery.heldout.power_rmse_w["nominal"], battery.heldout.power_rmse_w["with_effects"]
         e = battery.heldout.energy_error_pct
@@ -75,168 +110,156 @@ def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], s
                 energy = f"energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
         cards.append(("Power error, runs not used", f"{before:.3g} → {after:.3g} W", energy))
     drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
-    cards.append(("Mean power", f"{web.format_cell(battery.mean_power_w, 3)} W", drives))
-    said = [line for line in (sentences.sure(battery), sentences.errors(battery)) if line]
+    cards.append(("Mean power", f"{format_cell(battery.mean_power_w, 3)} W", drives))
+    said = [told for told in (sentences.sure(battery), sentences.errors(battery)) if told]
     tone = "bad" if unseen_note(battery) else TONES[battery.verdict]
-    blocks: list[web.Block] = [web.Verdict(words.headline(battery), tone), web.Tiles(cards)]
-    blocks += [web.Paragraph(line) for line in said]
+    blocks: list[Block] = [Verdict(words.headline(battery), tone), Tiles(cards)]
+    blocks += [Paragraph(told) for told in said]
     if command:
-        blocks.append(web.Command("Type this next", command))
+        blocks.append(Command("Type this next", command))
     elif battery.next_experiments:
-        blocks.append(web.Paragraph(f"Drive next: {battery.next_experiments[0].do}."))
-    lines = words.report(battery)
-    table = web.Table(["", "what the data say"], [[heading, text] for heading, text in lines if heading != "NOTE"])
-    return [*blocks, web.Details("Everything the data say, with numbers", [table])]
+        blocks.append(Paragraph(f"Drive next: {battery.next_experiments[0].do}."))
+    lines = [[heading, text] for heading, text in words.report(battery) if heading != "NOTE"]
+    table = Table(["", "what the data say"], lines)
+    return [*blocks, Details("Everything the data say, with numbers", [table])]
 
 
-def _interval(battery: BatteryDiagnosis) -> str:
-    if not battery.effects:
-        law = battery.proposed_laws[0]
-        half = 196 * law.share_sd
-        return f"95 %: {100 * law.energy_share - half:.1f} to {100 * law.energy_share + half:.1f} %"
-    effect = battery.effects[0]
-    if not math.isfinite(effect.share_low):
-        return ""
-    return f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
-
-
-def _law(battery: BatteryDiagnosis) -> list[web.Block]:
+def _law(battery: BatteryDiagnosis) -> list[Block]:
     """The curve of a proposed law with its band, its forms, what would tell them apart."""
-    blocks: list[web.Block] = []
+    blocks: list[Block] = []
     for law in battery.proposed_laws:
         curve = law.curve
         if curve is not None:
             word, unit = QUANTITY.get(curve.variable, (curve.variable, curve.unit))
             fixed = ", ".join(
-                f"{QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else web.format_cell(v, 2)}"
+                f"{QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else format_cell(v, 2)}"
                 for n, v in curve.at.items()
             )
             hover = "%{x:.3g}: %{y:.3g} W<extra></extra>"
             traces = [
-                *draw.band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
-                draw.line(curve.x, curve.watts, "the plainest form", draw.MEASURED, 2, hovertemplate=hover),
+                *band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
+                line(curve.x, curve.watts, "the plainest form", MEASURED, 2, hovertemplate=hover),
             ]
             layout = {
-                "xaxis": draw.axis(f"{web.label(word)}{', ' if unit else ''}{web.label(unit)}"),
-                "yaxis": draw.axis("power that the model lacks, W"),
+                "xaxis": axis(f"{label(word)}{', ' if unit else ''}{label(unit)}"),
+                "yaxis": axis("power that the model lacks, W"),
                 "hovermode": "closest",
             }
             held = f", {fixed} held" if fixed else ""
-            blocks.append(web.Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
+            blocks.append(Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
         rows = [
             [i, one.formula, one.k, one.low, one.high, one.unit, one.behind_nats] for i, one in enumerate(law.laws, 1)
         ]
         columns = ["form", "formula", "k", "from", "to", "unit of k", "nats behind"]
         caption = "Forms that these data cannot tell apart; their numbers serve add-effect --formula"
-        blocks.append(web.Table(columns, rows, caption, 3))
+        blocks.append(Table(columns, rows, caption, 3))
         if law.experiment:
-            blocks.append(web.Paragraph(f"To tell them apart: {law.experiment}."))
+            blocks.append(Paragraph(f"To tell them apart: {law.experiment}."))
     return blocks
 
 
-def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
+def _candidates(battery: BatteryDiagnosis) -> list[Block]:
     found = {effect.effect: effect for effect in battery.effects}
     rows = sorted(
-        (c for c in battery.candidates if c.effect in found or _seen(c.smallest_detectable_share)),
+        (
+            c
+            for c in battery.candidates
+            if c.effect in found
+            or (c.smallest_detectable_share is not None and c.smallest_detectable_share < words.BLIND_SHARE)
+        ),
         key=lambda c: (c.effect not in found, c.smallest_detectable_share or 0.0),
     )
-    blocks: list[web.Block] = []
+    blocks: list[Block] = []
     if rows:
-        names = [web.label(c.effect) for c in rows][::-1]
+        names = [label(c.effect) for c in rows][::-1]
         limits = [_percent(c.smallest_detectable_share) for c in rows][::-1]
         effects = [found[c.effect] for c in rows if c.effect in found][::-1]
         hover = "%{y}: %{x:.2f} %<extra></extra>"
-        traces = [draw.bars(names, limits, draw.PALE, name="smallest share that would be found", hovertemplate=hover)]
+        traces = [bars(names, limits, PALE, name="smallest share that would be found", hovertemplate=hover)]
         if effects:
-            up = [100 * (e.share_high - e.energy_share) if _finite(e.share_high) else 0.0 for e in effects]
-            down = [100 * (e.energy_share - e.share_low) if _finite(e.share_low) else 0.0 for e in effects]
-            points: draw.Trace = {
+            up = [100 * (e.share_high - e.energy_share) if math.isfinite(e.share_high) else 0.0 for e in effects]
+            down = [100 * (e.energy_share - e.share_low) if math.isfinite(e.share_low) else 0.0 for e in effects]
+            points: Trace = {
                 "type": "scatter",
                 "mode": "markers",
                 "x": [100 * e.energy_share for e in effects],
-                "y": [web.label(e.effect) for e in effects],
+                "y": [label(e.effect) for e in effects],
                 "name": "found, with 95 % interval",
-                "marker": {"color": draw.MEASURED, "size": 10},
-                "error_x": {
-                    "type": "data",
-                    "symmetric": False,
-                    "array": up,
-                    "arrayminus": down,
-                    "color": draw.MEASURED,
-                },
+                "marker": {"color": MEASURED, "size": 10},
+                "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
                 "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>",
             }
             traces.append(points)
         layout = {
-            "xaxis": draw.axis("share of the battery's energy, %", rangemode="tozero"),
+            "xaxis": axis("share of the battery's energy, %", rangemode="tozero"),
             "hovermode": "closest",
-            "margin": {"l": 220, **draw.MARGIN},
+            "margin": {"l": 220, **MARGIN},
         }
         caption = (
             "Effects that were found, and how large the others could be without being seen (80 % power); those of "
             "which these data say nothing are left out."
         )
-        blocks.append(web.Chart(traces, layout, caption, 90 + 24 * len(names)))
+        blocks.append(Chart(traces, layout, caption, 90 + 24 * len(names)))
     columns = ["effect", "taken", "reason", "smallest detectable share, %"]
     told = [
         [c.effect, "yes" if c.accepted else "no", c.reason, _percent(c.smallest_detectable_share)]
         for c in battery.candidates
     ]
-    blocks.append(web.Details("Every candidate and the reason", [web.Table(columns, told, digits=3)]))
+    blocks.append(Details("Every candidate and the reason", [Table(columns, told, digits=3)]))
     if battery.untestable:
-        needs = web.Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])
-        blocks.append(web.Details("Effects that these logs cannot test", [needs]))
+        needs = Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])
+        blocks.append(Details("Effects that these logs cannot test", [needs]))
     return blocks
 
 
-def _series(battery: BatteryDiagnosis, several: bool) -> list[web.Block]:
+def _series(battery: BatteryDiagnosis, several: bool) -> list[Block]:
     shown = battery.series[:MOST_RUNS]
     if not shown:
-        return [web.Paragraph("No run to show.")]
+        return [Paragraph("No run to show.")]
     points = TOTAL_POINTS // (len(shown) * (2 if several else 1))
     more = len(battery.series) > len(shown)
     note = f"The first {len(shown)} of {len(battery.series)} runs." if more else ""
-    return draw.one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
+    return one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
 
 
-def _run_chart(run: RunSeries, points: int) -> web.Chart:
+def _run_chart(run: RunSeries, points: int) -> Chart:
     left = run.measured_w - run.fitted_w
-    pick = draw.shared_indices([run.measured_w, left], max(points // 4, 200))
+    pick = shared_indices([run.measured_w, left], max(points // 4, 200))
     time_s = run.time_s[pick]
     lines = [
-        ("measured", run.measured_w, draw.MEASURED),
-        ("model of the robot file", run.nominal_w, draw.MODEL),
-        ("with what was found", run.fitted_w, draw.FITTED),
+        ("measured", run.measured_w, MEASURED),
+        ("model of the robot file", run.nominal_w, MODEL),
+        ("with what was found", run.fitted_w, FITTED),
     ]
-    traces = [draw.line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
-    before = draw.line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", draw.MODEL, 1, yaxis="y2")
+    traces = [line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
+    before = line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", MODEL, 1, yaxis="y2")
     traces.append({**before, "visible": "legendonly"})
-    traces.append(draw.line(time_s, left[pick], "left: with what was found", draw.RESIDUAL, 1, yaxis="y2"))
+    traces.append(line(time_s, left[pick], "left: with what was found", RESIDUAL, 1, yaxis="y2"))
     caption = f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned."
-    return draw.over_time(traces, "left, W", caption, 520)
+    return over_time(traces, "left, W", caption, 520)
 
 
-def _next(battery: BatteryDiagnosis) -> list[web.Block]:
-    blocks: list[web.Block] = []
+def _next(battery: BatteryDiagnosis) -> list[Block]:
+    blocks: list[Block] = []
     if battery.next_experiments:
         rows = [
             [e.do, " / ".join(e.separates), e.separation_now, e.separation_after, e.expected_power, e.minutes]
             for e in battery.next_experiments
         ]
         columns = ["drive this", "to tell apart", "separation now, nats", "after, nats"]
-        blocks.append(web.Table([*columns, "probability that it resolves", "minutes"], rows, digits=3))
+        blocks.append(Table([*columns, "probability that it resolves", "minutes"], rows, digits=3))
     elif any(law.experiment for law in battery.proposed_laws):
-        blocks += [web.Paragraph(f"{law.experiment[:1].upper()}{law.experiment[1:]}.") for law in battery.proposed_laws]
+        blocks += [Paragraph(f"{law.experiment[:1].upper()}{law.experiment[1:]}.") for law in battery.proposed_laws]
     else:
         varies = "No drive of ours varies what remains; log what may cause it."
         left = "Nothing is left that an experiment would have to separate."
-        blocks.append(web.Paragraph(varies if battery.unexplained.shape else left))
+        blocks.append(Paragraph(varies if battery.unexplained.shape else left))
     return blocks
 
 
-def _details(battery: BatteryDiagnosis) -> list[web.Block]:
-    blocks: list[web.Block] = [
-        web.Table(
+def _details(battery: BatteryDiagnosis) -> list[Block]:
+    blocks: list[Block] = [
+        Table(
             ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"],
             [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
             "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery",
@@ -246,13 +269,21 @@ def _details(battery: BatteryDiagnosis) -> list[web.Block]:
     if battery.confounding:
         blocks.append(_alike(battery))
     if battery.heldout is not None:
-        blocks.append(_heldout_table(battery))
+        models = {"nominal": "robot file", "recalibrated": "recalibrated", "with_effects": "with what was found"}
+        rows = [
+            [held.how, text, f"{held.energy_error_pct[kind]:.2f}", f"{held.power_rmse_w[kind]:.3g}"]
+            for held in (battery.heldout, battery.shifted)
+            if held is not None
+            for kind, text in models.items()
+        ]
+        columns = ["held-out runs", "model", "energy error, %", "power error (RMS), W"]
+        blocks.append(Table(columns, rows, "Errors on runs that were not used to fit", 3))
     if battery.remarks:
-        blocks.append(web.Bullets(list(battery.remarks)))
+        blocks.append(Bullets(list(battery.remarks)))
     return blocks
 
 
-def _alike(battery: BatteryDiagnosis) -> web.Chart:
+def _alike(battery: BatteryDiagnosis) -> Chart:
     """Each effect found against the effects that look most like it."""
     found = list(battery.confounding)
     most: dict[str, float] = {}
@@ -271,10 +302,10 @@ def _alike(battery: BatteryDiagnosis) -> web.Chart:
     within: dict[str, Any] = {"textposition": "inside", "insidetextanchor": "middle", "textangle": 0}
     within |= {"text": [f"{value:.2f}" for value in r], "hovertemplate": "%{hovertext}<extra></extra>"}
     within["hovertext"] = [f"{found[int(j)]} and {others[int(i)]}: r = {value:.2f}" for i, j, value in alike]
-    heat = draw.tiles(x, y, r, size=1.0, limit=1.0, colours=("#d55e00", "#f4f6f8", "#0072b2"), **within)
+    heat = tiles(x, y, r, size=1.0, limit=1.0, colours=("#d55e00", "#f4f6f8", "#0072b2"), **within)
 
-    def named(names: list[str]) -> draw.Trace:
-        return draw.axis("", tickvals=list(range(len(names))), ticktext=list(map(web.label, names)), showgrid=False)
+    def named(names: list[str]) -> Trace:
+        return axis("", tickvals=list(range(len(names))), ticktext=list(map(label, names)), showgrid=False)
 
     layout = {
         "xaxis": named(others),
@@ -286,38 +317,15 @@ def _alike(battery: BatteryDiagnosis) -> web.Chart:
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
         "the same, at 0 they have nothing in common."
     )
-    return web.Chart([heat], layout, caption, 240 + 30 * len(found))
-
-
-def _heldout_table(battery: BatteryDiagnosis) -> web.Table:
-    models = {"nominal": "robot file", "recalibrated": "recalibrated", "with_effects": "with what was found"}
-    rows = [
-        [held.how, text, f"{held.energy_error_pct[kind]:.2f}", f"{held.power_rmse_w[kind]:.3g}"]
-        for held in (battery.heldout, battery.shifted)
-        if held is not None
-        for kind, text in models.items()
-    ]
-    columns = ["held-out runs", "model", "energy error, %", "power error (RMS), W"]
-    return web.Table(columns, rows, "Errors on runs that were not used to fit", 3)
-
-
-def _seen(limit: float | None) -> bool:
-    return limit is not None and limit < words.BLIND_SHARE  # not so where it is no number
-
-
-def _finite(value: float | None) -> bool:
-    return value is not None and math.isfinite(value)
+    return Chart([heat], layout, caption, 240 + 30 * len(found))
 
 
 def _percent(value: float | None) -> float | None:
     return 100.0 * value if value is not None and math.isfinite(value) else None
 
 
-def improve_page(
-    robot: str, done: Sequence[Improved], *, advice: Mapping[str, tuple[str, str]] | None = None, footer: str = ""
-) -> str:
-    """The page as HTML. `done`: one a battery; `advice`: by battery what predicts better, and its command; `footer`:
-    how it was made."""
+def improve_page(robot: str, done: Sequence[Improved], *, advice: Mapping[str, tuple[str, str]] | None = None) -> str:
+    """The page as HTML. `done`: one a battery; `advice`: by battery what predicts better, and its command."""
     sections: list[Section] = []
     for one in done:
         prefix = f"Battery {one.battery}: " if len(done) > 1 else ""
@@ -326,7 +334,7 @@ def improve_page(
         for title, diagnosis in (("Before", one.first), ("After", one.last)):
             inner = diagnosis_sections(Diagnosis(robot, {one.battery: diagnosis}))
             sections += [Section(f"{prefix}{title}: {part.title}", part.blocks) for part in inner]
-    return page(f"{robot}: model improved", sections, subtitle="compare, diagnose, add, compare again", footer=footer)
+    return page(f"{robot}: model improved", sections, subtitle="compare, diagnose, add, compare again")
 
 
 def _improvement(one: Improved, better: str, command: str) -> list[Block]:
@@ -372,5 +380,5 @@ def _improvement(one: Improved, better: str, command: str) -> list[Block]:
             ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ"),
         ]
     )
-    typed = [web.Command("Type this next", command)] if command else []
+    typed = [Command("Type this next", command)] if command else []
     return [Verdict(text, tone), *typed, tiles, *charts, table]

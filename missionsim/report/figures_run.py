@@ -147,41 +147,25 @@ def _colours(result: RunResult) -> dict[str, str]:
 
 
 def _figure(result: RunResult, height: float) -> tuple[Figure, list[Axes], float]:
-    """A panel for each battery over time, with segments marked; seconds in the unit of its axis."""
+    """A panel for each battery over time; seconds in the unit of its axis. Thin lines stand where segments begin, their
+    names over the first panel, unless there are too many or too short."""
     figure = new_figure(10.0, height * len(result.batteries) + 1.0)
     axes = list(figure.subplots(len(result.batteries), 1, sharex=True, squeeze=False)[:, 0])
     for axis in axes:
         axis.margins(x=0)
-    scale, unit = _time_unit(result.duration_s)
-    _mark_segments(axes, result, scale)
+    scale, unit = (60.0, "min") if result.duration_s > 300.0 else (1.0, "s")
+    if result.duration_s > 3 * 3600.0:
+        scale, unit = 3600.0, "h"
     axes[-1].set_xlabel(f"time [{unit}]")
     figure.suptitle(_title(result), fontsize=10)
-    return figure, axes, scale
-
-
-def _title(result: RunResult) -> str:
-    verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
-    return literal(f"{result.mission}, {result.robot}: {verdict}")
-
-
-def _time_unit(duration_s: float) -> tuple[float, str]:
-    if duration_s > 3 * 3600.0:
-        return 3600.0, "h"
-    return (60.0, "min") if duration_s > 300.0 else (1.0, "s")
-
-
-def _mark_segments(axes: list[Axes], result: RunResult, scale: float) -> None:
-    """Thin lines where segments begin, their names over the first panel unless there are too many or too short."""
     line = result.timeline
-    if not len(line):
-        return
-    first = np.flatnonzero(np.append(True, line.segment[1:] != line.segment[:-1]))
-    ends = np.append(line.start_s[first[1:]], line.start_s[-1] + line.duration_s[-1])
-    if len(first) > 4 * MOST_LABELS:
-        return
+    first = np.flatnonzero(np.append(True, line.segment[1:] != line.segment[:-1])) if len(line) else np.zeros(0, int)
+    if not 0 < len(first) <= 4 * MOST_LABELS:
+        return figure, axes, scale
     for axis in axes:
         for i in first:
             axis.axvline(line.start_s[i] / scale, color="#000000", alpha=0.18, linewidth=0.7)
+    ends = np.append(line.start_s[first[1:]], line.start_s[-1] + line.duration_s[-1])
     for i, end in zip(first, ends, strict=True):
         if end - line.start_s[i] < result.duration_s / MOST_LABELS / 1.5:
             continue
@@ -190,6 +174,12 @@ def _mark_segments(axes: list[Axes], result: RunResult, scale: float) -> None:
         text = literal(name if len(name) < 22 else name[:20] + "…")
         above: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "xytext": (0, 3)}
         axes[0].annotate(text, (middle, 1.0), **above, rotation=35, ha="left", va="bottom", fontsize=7)
+    return figure, axes, scale
+
+
+def _title(result: RunResult) -> str:
+    verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
+    return literal(f"{result.mission}, {result.robot}: {verdict}")
 
 
 FAN_RUNS, HISTOGRAM_RUNS = 20_000, 1_000_000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import functools
 import gzip
 import html as html_lib
 import itertools
@@ -138,33 +137,50 @@ def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer:
     `title`, `subtitle`, `footer`: plain text; escaped. `sections`: what the page shows, in order. Gives HTML with
     scripts, styles and data inside it; a content policy in its head forbids any request.
     """
+    import jinja2
+
     charts: list[dict[str, Any]] = []
-    environment = _environment()
-    environment.globals["kind"] = lambda block: type(block).__name__
-    environment.globals["mark"] = lambda tone: MARKS[tone]
     numbers = itertools.count(1)
 
     def chart_id(block: Chart) -> str:
-        charts.append(_chart(block))
+        layout: dict[str, Any] = {**STYLE["layout"], "height": block.height, **block.layout}
+        for key in [*layout, "xaxis", "yaxis"]:
+            if key.startswith(("xaxis", "yaxis")):
+                layout[key] = {**STYLE["axis"], **layout.get(key, {})}
+        charts.append({"data": plain(block.traces, DIGITS), "layout": plain(layout, DIGITS)})
         return f"chart-{len(charts) - 1}"
 
-    body = environment.get_template("page.html.j2")
+    def packed() -> str:
+        """Data of the charts: gzip in base64, which holds no sign of markup; the same for the same charts."""
+        data = json.dumps(charts, separators=(",", ":"), allow_nan=False).encode()
+        return base64.b64encode(gzip.compress(data, mtime=0)).decode("ascii") if charts else ""
+
+    def plotly() -> str:
+        """Plotly's basic bundle as its makers published it on npm (plotly.js-basic-dist-min 4.1.1), MIT licence."""
+        script = resources.files("missionsim.report").joinpath("plotly", "plotly-basic.min.js.gz").read_bytes()
+        return base64.b64encode(script).decode("ascii")
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("missionsim.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.globals["kind"] = lambda block: type(block).__name__
+    environment.globals["mark"] = lambda tone: MARKS[tone]
     # the template draws the blocks first and asks for the charts' data at its end
-    return str(
-        body.render(
-            title=title,
-            subtitle=subtitle,
-            footer=footer,
-            sections=sections,
-            chart_id=chart_id,
-            choice_id=lambda: f"choice-{next(numbers)}",
-            cell=format_cell,
-            is_number=_is_number,
-            charts=lambda: (
-                _packed(json.dumps(charts, separators=(",", ":"), allow_nan=False).encode()) if charts else ""
-            ),
-            plotly=_plotly,
-        )
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        subtitle=subtitle,
+        footer=footer,
+        sections=sections,
+        chart_id=chart_id,
+        choice_id=lambda: f"choice-{next(numbers)}",
+        cell=format_cell,
+        is_number=_is_number,
+        charts=packed,
+        plotly=plotly,
     )
 
 
@@ -194,41 +210,8 @@ def label(text: object) -> str:
     return html_lib.escape(str(text), quote=False)
 
 
-def _chart(block: Chart) -> dict[str, Any]:
-    layout: dict[str, Any] = {**STYLE["layout"], "height": block.height, **block.layout}
-    for key in [*layout, "xaxis", "yaxis"]:
-        if key.startswith(("xaxis", "yaxis")):
-            layout[key] = {**STYLE["axis"], **layout.get(key, {})}
-    return {"data": plain(block.traces, DIGITS), "layout": plain(layout, DIGITS)}
-
-
 def _is_number(value: object) -> TypeGuard[int | float | str]:
     """Whether a cell stands at the right: a number, or the text of one."""
     if isinstance(value, str):
         return _NUMBER.fullmatch(value) is not None
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-
-
-def _packed(data: bytes) -> str:
-    """Bytes as the page keeps them: gzip in base64, which holds no sign of markup; the same for the same bytes."""
-    return base64.b64encode(gzip.compress(data, mtime=0)).decode("ascii")
-
-
-@functools.cache
-def _plotly() -> str:
-    """Plotly's basic bundle as its makers published it on npm (plotly.js-basic-dist-min 4.1.1), MIT licence."""
-    script = resources.files("missionsim.report").joinpath("plotly", "plotly-basic.min.js.gz").read_bytes()
-    return base64.b64encode(script).decode("ascii")
-
-
-@functools.cache
-def _environment() -> Any:
-    import jinja2
-
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("missionsim.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )

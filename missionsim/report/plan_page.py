@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+
 from missionsim.planner.answer import Answer
 from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Verdict, page
 from missionsim.report.site_map import map_of_plan, site_chart
-from missionsim.report.traces import axis
+from missionsim.report.traces import Trace, axis
 
 
 def plan_page(answer: Answer, *, footer: str = "") -> str:
@@ -26,11 +28,32 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
     if sure := answer.extra.get("probability"):
         interval = f"{100 * sure['low']:.2f} to {100 * sure['high']:.2f} %"
         tiles.append(("Holds", f"{100 * sure['value']:.2f} %", f"of {sure['runs']} fresh draws ({interval})"))
+    rows = []
+    for leg in answer.legs:
+        piece = leg.piece
+        way = ("", "", None) if piece is None else (piece.name, piece.legs[0].settings.scheme, piece.limit_m_s)
+        wh = [f"{part[name]:.3f}" for part in (leg.energy_wh, leg.charge_wh) for name in names]
+        rows.append([leg.kind, leg.place, *way, leg.duration_s, *wh])
+    columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name}, Wh" for name in names)]
+    legs = Table([*columns, *(f"{name} left, Wh" for name in names)], rows)
+    physics = answer.site.physics
+    times = [0.0, *itertools.accumulate(leg.duration_s / 60.0 for leg in answer.legs)]
+    traces: list[Trace] = []
+    for b, name in enumerate(names):
+        values = [float(physics.initial_wh[b]), *(leg.charge_wh[name] for leg in answer.legs)]
+        share = [100.0 * value / float(physics.capacity_wh[b]) for value in values]
+        colour = COLOURS[b % len(COLOURS)]
+        curve = {"type": "scatter", "mode": "lines"}
+        traces.append({**curve, "x": times, "y": share, "name": name, "line": {"color": colour}})
+        reserve = {"y": [100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])] * 2, "x": [0.0, times[-1]]}
+        thin = {"color": colour, "dash": "dot", "width": 1}
+        traces.append({**curve, **reserve, "name": f"reserve of {name}", "line": thin})
+    layout = {"xaxis": axis("min"), "yaxis": axis("charge, %", rangemode="tozero")}
     sections = [
         Section("Plan", [Verdict(f"{answer.course()}: {answer.claim}.", "good"), Tiles(tiles)]),
         Section("Map", [site_chart(map_of_plan(answer))]),
-        Section("Charge", [_charge(answer, names)]),
-        Section("Legs", [_legs(answer, names)]),
+        Section("Charge", [Chart(traces, layout, "Charge of each battery at the ends of the legs.", 300)]),
+        Section("Legs", [legs]),
     ]
     if others := answer.extra.get("alternatives"):
         rows = [
@@ -42,33 +65,3 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
         rows = [[point["duration_s"], *(f"{wh:.3f}" for wh in point["energy_wh"].values())] for point in front]
         sections.append(Section("Energy against time", [Table(["s", *(f"{name}, Wh" for name in names)], rows)]))
     return page(title, sections, footer=footer)
-
-
-def _legs(answer: Answer, names: list[str]) -> Table:
-    rows = []
-    for leg in answer.legs:
-        piece = leg.piece
-        way = ("", "", None) if piece is None else (piece.name, piece.legs[0].settings.scheme, piece.limit_m_s)
-        wh = [f"{part[name]:.3f}" for part in (leg.energy_wh, leg.charge_wh) for name in names]
-        rows.append([leg.kind, leg.place, *way, leg.duration_s, *wh])
-    columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name}, Wh" for name in names)]
-    return Table([*columns, *(f"{name} left, Wh" for name in names)], rows)
-
-
-def _charge(answer: Answer, names: list[str]) -> Chart:
-    physics = answer.site.physics
-    times = [0.0]
-    for leg in answer.legs:
-        times.append(times[-1] + leg.duration_s / 60.0)
-    traces = []
-    for b, name in enumerate(names):
-        values = [float(physics.initial_wh[b]), *(leg.charge_wh[name] for leg in answer.legs)]
-        share = [100.0 * value / float(physics.capacity_wh[b]) for value in values]
-        style: dict[str, object] = {"color": COLOURS[b % len(COLOURS)]}
-        lines = {"type": "scatter", "mode": "lines"}
-        traces.append({**lines, "x": times, "y": share, "name": name, "line": style})
-        reserve = {"y": [100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])] * 2, "x": [0.0, times[-1]]}
-        thin = style | {"dash": "dot", "width": 1}
-        traces.append({**lines, **reserve, "name": f"reserve of {name}", "line": thin})
-    layout = {"xaxis": {"title": {"text": "min"}}, "yaxis": axis("charge, %", rangemode="tozero")}
-    return Chart(traces, layout, "Charge of each battery at the ends of the legs.", 300)

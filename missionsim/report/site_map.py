@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.engine.outcome import RunResult
-from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
+from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
@@ -164,8 +164,8 @@ def site_figure(site: SiteMap) -> Figure:
 
     where, curves = layout(site.environment)
     span = np.maximum(np.ptp(np.array(list(where.values())), axis=0), 1e-9)
-    width, height = 11.0, float(np.clip(9.0 * span[1] / max(span[0], 1e-9), 4.0, 9.5)) + 1.4
-    figure = new_figure(width, height)
+    figure_width, height = 11.0, float(np.clip(9.0 * span[1] / max(span[0], 1e-9), 4.0, 9.5)) + 1.4
+    figure = new_figure(figure_width, height)
     axes = figure.subplots()
     axes.set_aspect("equal")
     axes.spines[["top", "right"]].set_visible(False)
@@ -174,14 +174,23 @@ def site_figure(site: SiteMap) -> Figure:
     axes.margins(0.12)
     axes.set_title(site.title, fontsize=10, loc="left")
     size = float(max(span))
-    _draw_edges(axes, site, curves)
+    surfaces = _surfaces(site.environment)
+    shut = _shut(site.environment)
+    for index, edge in enumerate(site.environment.edges):
+        line, surface = curves[index], _surface(site.environment, edge)
+        if index in shut:
+            axes.plot(*line.T, color="#b0b0b0", linestyle=":", linewidth=1.6, label="closed", zorder=1)
+            axes.plot(*line[len(line) // 2], marker="x", color="#555555", markersize=8, zorder=2)
+            continue
+        width = 1.4 + 40.0 * min(abs(math.tan(edge.slope.value)), 0.15)
+        axes.plot(*line.T, color=surfaces[surface], linewidth=width, alpha=0.75, zorder=1, label=surface or "edge")
     lines: list[Points] = []
     if site.driven:
         values = np.array([wh for *_, wh in site.driven])
         low, high = float(values.min()), float(values.max())
         norm = Normalize(low, high if high > low else low + 1e-9)
-        for edge, begin, wh in site.driven:
-            line = shifted(curves[edge], begin == site.environment.edges[edge].from_, 0.009 * size)
+        for number, begin, wh in site.driven:
+            line = shifted(curves[number], begin == site.environment.edges[number].from_, 0.009 * size)
             colour = colormaps[SCALE](norm(wh))
             axes.plot(*line.T, color=colour, linewidth=3.2, solid_capstyle="butt", zorder=3)
             middle, ahead = line[int(0.62 * len(line)) - 1], line[int(0.62 * len(line))]
@@ -190,8 +199,8 @@ def site_figure(site: SiteMap) -> Figure:
         bar = figure.colorbar(ScalarMappable(norm, SCALE), ax=axes, shrink=0.7, pad=0.01)
         bar.set_label("energy of all batteries on the edge [Wh/m]", fontsize=8)
     marks = []
-    for edge, begin, share, text in site.turns:
-        line = curves[edge] if begin == site.environment.edges[edge].from_ else curves[edge][::-1]
+    for number, begin, share, text in site.turns:
+        line = curves[number] if begin == site.environment.edges[number].from_ else curves[number][::-1]
         at = line[min(int(share * (len(line) - 1) + 0.5), len(line) - 1)]
         axes.plot(*at, marker="X", color=OUT, markersize=8, zorder=6, linestyle="none", label="turn back")
         marks.append((at, text))
@@ -205,31 +214,12 @@ def site_figure(site: SiteMap) -> Figure:
         paper.write(np.array(at), name + (f"\n{site.charges[name]}" if name in site.charges else ""), 7.5, "black")
     for at, text in marks:
         paper.write(at, text, 7.0, OUT)
-    shut = _shut(site.environment)
-    for index, spec in enumerate(site.environment.edges):
-        paper.along(curves[index], _edge_text(spec, curves[index]) + " closed" * (index in shut))
-    return figure
-
-
-def _draw_edges(axes: Axes, site: SiteMap, curves: Mapping[int, Points]) -> None:
-    surfaces = _surfaces(site.environment)
-    shut = _shut(site.environment)
     for index, edge in enumerate(site.environment.edges):
-        line, surface = curves[index], _surface(site.environment, edge)
-        if index in shut:
-            axes.plot(*line.T, color="#b0b0b0", linestyle=":", linewidth=1.6, label="closed", zorder=1)
-            axes.plot(*line[len(line) // 2], marker="x", color="#555555", markersize=8, zorder=2)
-            continue
-        width = 1.4 + 40.0 * min(abs(math.tan(edge.slope.value)), 0.15)
-        axes.plot(*line.T, color=surfaces[surface], linewidth=width, alpha=0.75, zorder=1, label=surface or "edge")
-
-
-def _edge_text(edge: EdgeSpec, line: Points) -> str:
-    """What is written at an edge: its name, slope, and whether it leads one way."""
-    slope, text = math.tan(edge.slope.value), edge.name or ""
-    if abs(slope) > 5e-4:
-        text += f" {100 * slope:+.1f} %".replace("-", "−") + (" →" if line[-1][0] >= line[0][0] else " ←")
-    return text if edge.both_ways else f"{text} one way"
+        line, slope, text = curves[index], math.tan(edge.slope.value), edge.name or ""
+        if abs(slope) > 5e-4:
+            text += f" {100 * slope:+.1f} %".replace("-", "−") + (" →" if line[-1][0] >= line[0][0] else " ←")
+        paper.along(line, text + " one way" * (not edge.both_ways) + " closed" * (index in shut))
+    return figure
 
 
 def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, float]]) -> None:
