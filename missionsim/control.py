@@ -70,18 +70,14 @@ class PowerPredictor:
         self.battery = self.battery or next(iter(spec.batteries))
         on = self.on if self.on is not None else {name: float(c.units) for name, c in spec.components.items()}
         self._on = {f"on_{name}": float(count) for name, count in on.items()}
-        self._loads = self._processor_parameters()
-
-    def _processor_parameters(self) -> dict[str, float] | None:
-        """Parameters of the component that runs under the law ``multicore_cpu``, if any."""
-        for name, component in self.spec.components.items():
-            for load in component.loads:
-                if load.law is not None and getattr(load.law, "model", None) == "multicore_cpu":
-                    given = {key: float(value) for key, value in load.law.parameters.items()}
-                    defaults = {p.name: p.default for p in named_models.law_models()["multicore_cpu"].parameters}
-                    own = {key.removeprefix(f"{self.battery}/{name}."): v for key, v in self.values.items()}
-                    return {**defaults, **given, **{k: v for k, v in own.items() if k in defaults}}
-        return None
+        self._loads: dict[str, float] = {}
+        laws = [(name, load.law) for name, component in spec.components.items() for load in component.loads]
+        for name, law in laws:
+            if not self._loads and law is not None and getattr(law, "model", None) == "multicore_cpu":
+                defaults = {p.name: p.default for p in named_models.law_models()["multicore_cpu"].parameters}
+                own = {key.removeprefix(f"{self.battery}/{name}."): v for key, v in self.values.items()}
+                given = {key: float(value) for key, value in law.parameters.items()}
+                self._loads = {**defaults, **given, **{k: v for k, v in own.items() if k in defaults}}
 
     def power(
         self,
@@ -166,7 +162,7 @@ class PowerPredictor:
         )
 
     def _cpu(self) -> dict[str, float]:
-        if self._loads is None:
+        if not self._loads:
             raise InputError.single(
                 f"robot '{self.spec.name}' has no computer whose load follows its speed",
                 allowed="a component with law: {model: multicore_cpu}",

@@ -206,12 +206,18 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
             constant = float(number) if abs(number) <= _LARGEST else math.inf
             if constant == math.inf:
                 fault("number is too large", node, f"more than {_LARGEST:.3g}", f"at most {_LARGEST:.3g}")
-            return lambda _: constant
+            return _constant(constant)
         case ast.Constant(value=str() as word):
             fault("a word stands alone", node, repr(word)[:40], "a comparison such as k * (surface == 'carpet')")
-            return lambda _: word
+            return _constant(word)
+        case ast.Name(id=name) if name in CONSTANTS and (allowed is None or name not in allowed):
+            return _constant(CONSTANTS[name])
         case ast.Name(id=name):
-            return _name(node, name, allowed, found, fault)
+            if allowed is not None and name not in allowed:
+                known, meant = ", ".join(sorted(allowed)) or "no names", did_you_mean(name, allowed | _KNOWN)
+                fault(f"'{name}' is not known here", node, name, known, meant)
+            found.add(name)
+            return lambda v: v[name]
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             high = getattr(right, "value", None)
             if isinstance(op, ast.Pow) and isinstance(high, (int, float)) and abs(high) > _MAX_POWER:
@@ -232,7 +238,10 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
             return lambda v: 1.0 * functools.reduce(both, [part(v) for part in parts])
         case ast.Compare(left=left, ops=ops, comparators=comparators) if all(type(op) in _COMPARE for op in ops):
             words = all(isinstance(op, (ast.Eq, ast.NotEq)) for op in ops)
-            sides = [(_word(side) if words else None) or recurse(side) for side in (left, *comparators)]
+            sides = []
+            for side in (left, *comparators):
+                said = getattr(side, "value", None)
+                sides.append(_constant(said) if words and isinstance(said, str) else recurse(side))
             tests = [_COMPARE[type(op)] for op in ops]
             return lambda v: (
                 1.0
@@ -249,25 +258,7 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
         ast.unparse(node)[:60],
         "numbers, names, + - * / // % **, comparisons, and/or/not, 'a if c else b', " + ", ".join(sorted(_KNOWN)),
     )
-    return lambda _: np.nan
-
-
-def _name(
-    node: ast.AST, name: str, allowed: frozenset[str] | None, found: set[str], fault: Callable[..., None]
-) -> _Node:
-    if name in CONSTANTS and (allowed is None or name not in allowed):
-        constant = CONSTANTS[name]
-        return lambda _: constant
-    if allowed is not None and name not in allowed:
-        fault(
-            f"'{name}' is not known here",
-            node,
-            name,
-            ", ".join(sorted(allowed)) or "no names",
-            did_you_mean(name, allowed | _KNOWN),
-        )
-    found.add(name)
-    return lambda v: v[name]
+    return _constant(np.nan)
 
 
 def _call(
@@ -281,13 +272,13 @@ def _call(
     known = _KNOWN if allowed is None else FUNCTIONS.keys()  # what maps a log has no lag
     if name not in known:
         fault(f"unknown function '{name}'", node, name, ", ".join(sorted(known)), did_you_mean(name, known))
-        return lambda _: np.nan
+        return _constant(np.nan)
     wanted = _ARGUMENTS.get(name, 1)
     if len(args) != wanted:
         if name in ("max", "min", "maximum", "minimum") and len(args) > wanted:
             return lambda v: functools.reduce(FUNCTIONS[name], [part(v) for part in parts])
         fault(f"'{name}' takes {wanted} argument{'s' if wanted > 1 else ''}", node, str(len(args)), str(wanted))
-        return lambda _: np.nan
+        return _constant(np.nan)
     if name == "lag":
         text = ast.unparse(node)
         return lambda v: v.get(REMEMBERED, lambda _, x, tau: x)(text, *(part(v) for part in parts))
@@ -295,10 +286,8 @@ def _call(
     return lambda v: function(*(part(v) for part in parts))
 
 
-def _word(node: ast.AST) -> _Node | None:
-    """What a quoted word means in a comparison; None for all else."""
-    word = getattr(node, "value", None)
-    return (lambda _: word) if isinstance(word, str) else None
+def _constant(value: float | str) -> _Node:
+    return lambda _: value
 
 
 def _equal(a: Any, b: Any) -> Any:

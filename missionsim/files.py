@@ -46,7 +46,9 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(path)) from error
         else:
-            temporary.chmod(0o666 & ~_umask())
+            mask = os.umask(0)
+            os.umask(mask)
+            temporary.chmod(0o666 & ~mask)
             temporary.replace(final)
     finally:
         temporary.unlink(missing_ok=True)
@@ -122,12 +124,6 @@ def sha256(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a file's bytes, as 64 hexadecimal digits."""
     with open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def csv_cell(value: T) -> T | str:

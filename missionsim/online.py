@@ -51,6 +51,7 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     and for missions that recharge on the way.
     """
     from missionsim.engine.simulate import simulate
+    from missionsim.inputs.power import build_power_model
 
     if battery not in mission.robot.batteries:
         raise InputError.unknown(f"no battery '{battery}'", battery, mission.robot.batteries)
@@ -65,35 +66,24 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
         )
     line = result.timeline
     energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
-    time = np.asarray(line.duration_s, dtype=float)
     distance = distances(line)
     homes = result.home_energy()
     if all(home.get(battery) is not None for home in homes):
-        home_j = _homes_of_segments(mission, result, battery, homes)
+        # straight lines between the ends of segments
+        ends_s = [result.segment_end_s[index] for index in range(len(result.segments))]
+        values = [3600.0 * float(home[battery] or 0.0) for home in homes]
+        chargers = mission.environment.chargers if mission.environment is not None else []
+        dock, start = mission.policy.dock, mission.start
+        at_dock = start == dock if dock else not chargers or start in chargers
+        first = 0.0 if at_dock else values[0]
+        home_j = np.interp(np.append(line.start_s, ends_s[-1]), [0.0, *ends_s], [first, *values])
     else:
-        home_j = _back_over_the_way(mission, result, battery, distance)
-    return ExpectedRun(time, distance, energy, home_j)
-
-
-def _homes_of_segments(mission: Any, result: Any, battery: str, homes: list[dict[str, float | None]]) -> Array:
-    """Energy home (J) at each interval's start and the mission's end, straight lines between ends of segments."""
-    ends_s = [result.segment_end_s[index] for index in range(len(result.segments))]
-    values = [3600.0 * float(home[battery] or 0.0) for home in homes]
-    docks = [mission.policy.dock] if mission.policy.dock else mission.environment.chargers or [mission.start]
-    first = 0.0 if mission.start in docks else values[0]
-    times = np.append(result.timeline.start_s, ends_s[-1])
-    return np.asarray(np.interp(times, [0.0, *ends_s], [first, *values]), dtype=float)
-
-
-def _back_over_the_way(mission: Any, result: Any, battery: str, distance: Array) -> Array:
-    """Energy (J) of driving back what has been driven, with the same settings and the slopes reversed."""
-    from missionsim.inputs.power import build_power_model
-
-    line = result.timeline
-    columns = {**line.columns, "slope_rad": -np.asarray(line.columns["slope_rad"])}
-    terms = integrate(build_power_model(mission.robot), replace(line, columns=columns))[battery]
-    back = np.asarray(np.sum(list(terms.values()), axis=0), dtype=float)
-    return np.concatenate([[0.0], np.cumsum(np.where(distance > 0.0, back, 0.0))])
+        # back over what has been driven, with the same settings and the slopes reversed
+        columns = {**line.columns, "slope_rad": -np.asarray(line.columns["slope_rad"])}
+        terms = integrate(build_power_model(mission.robot), replace(line, columns=columns))[battery]
+        back = np.asarray(np.sum(list(terms.values()), axis=0), dtype=float)
+        home_j = np.concatenate([[0.0], np.cumsum(np.where(distance > 0.0, back, 0.0))])
+    return ExpectedRun(np.asarray(line.duration_s, dtype=float), distance, energy, home_j)
 
 
 ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05
@@ -174,7 +164,17 @@ class OnlinePredictor:
         self._index, self._share = 0, 0.0
         self._time: float | None = None
         self._power = self._speed = self._drawn = self._first = 0.0
-        self._find_runs()
+        # of the drive without a stop that each interval belongs to: its length, what is left of it, and where it ends
+        count, driven = len(self._durations), [*self._distances, 0.0]
+        self._run_left, self._run_length, self._run_end = [0.0] * count, [0.0] * count, [count] * count
+        for i in range(count - 1, -1, -1):
+            if driven[i] > 0.0:
+                inside = driven[i + 1] > 0.0
+                self._run_left[i] = driven[i] + (self._run_left[i + 1] if inside else 0.0)
+                self._run_end[i] = self._run_end[i + 1] if inside else i + 1
+        for i in range(count):
+            inside = i > 0 and driven[i] > 0.0 and driven[i - 1] > 0.0
+            self._run_length[i] = self._run_length[i - 1] if inside else self._run_left[i]
 
     @classmethod
     def from_mission(cls, mission: MissionSpec, battery: str | None = None, **options: float) -> OnlinePredictor:
@@ -238,20 +238,6 @@ class OnlinePredictor:
             step_s -= rest_s
             self._index, self._share = self._index + 1, 0.0
 
-    def _find_runs(self) -> None:
-        """Length of the drive without a stop that each interval belongs to, what is left of it, and where it ends."""
-        count = len(self._durations)
-        self._run_left, self._run_length, self._run_end = [0.0] * count, [0.0] * count, [count] * count
-        for i in range(count - 1, -1, -1):
-            if self._distances[i] <= 0.0:
-                continue
-            inside = i + 1 < count and self._distances[i + 1] > 0.0
-            self._run_left[i] = self._distances[i] + (self._run_left[i + 1] if inside else 0.0)
-            self._run_end[i] = self._run_end[i + 1] if inside else i + 1
-        for i in range(count):
-            inside = i > 0 and self._distances[i] > 0.0 and self._distances[i - 1] > 0.0
-            self._run_length[i] = self._run_length[i - 1] if inside else self._run_left[i]
-
     def feed(
         self, columns: Mapping[str, Sequence[float] | Array], battery: str = "robot", every_s: float = 1.0
     ) -> Iterator[Forecast]:
@@ -302,9 +288,9 @@ class OnlinePredictor:
         slack = left - self.reserve_j - need
         can_finish = slack >= self.confidence * need_sd
         wait = None if can_finish else self._until_turning(behind, home_now, left, left_sd, factor, factor_sd)
-        now = self._time or 0.0
+        p_finish = 0.5 * (1.0 + math.erf(slack / need_sd / math.sqrt(2.0))) if need_sd > 0.0 else float(slack >= 0.0)
         return Forecast(
-            now,
+            self._time or 0.0,
             behind / total if total > 0.0 else 1.0,
             self._drawn,
             left,
@@ -318,7 +304,7 @@ class OnlinePredictor:
             can_finish,
             wait == 0.0,
             wait,
-            _normal_cdf(slack, need_sd),
+            p_finish,
         )
 
     def _correction(self, behind_j: float) -> tuple[float, float]:
@@ -368,9 +354,3 @@ def _column(columns: Mapping[str, Any], name: str) -> Any:
     if name not in columns:
         raise InputError.single(f"the log has no column '{name}'", got=", ".join(sorted(columns)), allowed=name)
     return columns[name]
-
-
-def _normal_cdf(distance: float, sd: float) -> float:
-    if sd <= 0.0:
-        return 1.0 if distance >= 0.0 else 0.0
-    return 0.5 * (1.0 + math.erf(distance / sd / math.sqrt(2.0)))

@@ -6,7 +6,6 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from missionsim.cli.options import TERMINAL, OutPath, Output
 from missionsim.errors import Fault, InputError, visible
@@ -85,7 +84,13 @@ def import_(
     if strict and damaged:
         raise InputError([r.fault(log.source) for log in damaged for r in log.remarks if r.kind == "damaged"])
     targets = _targets(logs, out)
-    _spare_sources(logs, targets)
+    read = {Path(log.source).resolve() for log in logs if log.source}
+    if faults := [  # a folder of Parquet files that is read into itself
+        Fault("", 0, 0, "--out would overwrite a file that is imported", "", str(target), "another folder")
+        for target in targets
+        if target.resolve() in read
+    ]:
+        raise InputError(faults)
     for log, target in zip(logs, targets, strict=True):
         write_log(log, target, provenance(log, spec))
     _told(logs, targets, left_out, sources, map_, to)
@@ -106,12 +111,40 @@ def _told(
             "source": str(sources[0]),
             "sources": [str(source) for source in sources],
             "map": str(map_),
-            "runs": [_summary(log, target) for log, target in zip(logs, targets, strict=True)],
+            "runs": [
+                {
+                    "run": log.run,
+                    "file": str(target),
+                    "rows": log.rows,
+                    "duration_s": log.duration_s,
+                    "batteries": {
+                        name: {"energy_wh": log.energy_wh(name), "power_from": log.power_from[name]}
+                        for name in log.batteries
+                    },
+                    "columns": list(log.columns),
+                    "remarks": [
+                        fields_of(r, "kind column message action severity line") | {"rows": r.count}
+                        for r in log.remarks
+                    ],
+                }
+                for log, target in zip(logs, targets, strict=True)
+            ],
             "left_out": [dataclasses.asdict(fault) for fault in left_out],
         }
     )
     if to.text:
-        _print(logs, targets)
+        rows = []
+        for log in logs[:20]:
+            energies = ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries)
+            rows.append([log.run, log.rows, f"{log.duration_s:.1f}", energies])
+        terminal = console()
+        show_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows)
+        if len(logs) > len(rows):
+            terminal.print(f"… and {len(logs) - len(rows)} more runs")
+        for line in describe(logs, notes=True):
+            terminal.print(line)
+        where = targets[0] if len(targets) == 1 else targets[0].parent
+        terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""))
     for fault in left_out if to.json != "-" else []:
         print(fault, file=sys.stderr)
     if left_out and to.text:
@@ -139,46 +172,6 @@ def _targets(logs: list[LogTable], out: Path) -> list[Path]:
         names[log.run] = names.get(log.run, 0) + 1
         targets.append(out / (f"{log.run}.parquet" if names[log.run] == 1 else f"{log.run}_{names[log.run]}.parquet"))
     return targets
-
-
-def _spare_sources(logs: list[LogTable], targets: list[Path]) -> None:
-    """Refuse to write over what was read: a folder of Parquet files that is read into itself."""
-    sources = {Path(log.source).resolve() for log in logs if log.source}
-    if faults := [
-        Fault("", 0, 0, "--out would overwrite a file that is imported", "", str(target), "another folder")
-        for target in targets
-        if target.resolve() in sources
-    ]:
-        raise InputError(faults)
-
-
-def _summary(log: LogTable | LongRun, target: Path) -> dict[str, Any]:
-    return {
-        "run": log.run,
-        "file": str(target),
-        "rows": log.rows,
-        "duration_s": log.duration_s,
-        "batteries": {
-            name: {"energy_wh": log.energy_wh(name), "power_from": log.power_from[name]} for name in log.batteries
-        },
-        "columns": list(log.columns),
-        "remarks": [fields_of(r, "kind column message action severity line") | {"rows": r.count} for r in log.remarks],
-    }
-
-
-def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
-    rows = []
-    for log in logs[:20]:
-        energies = ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries)
-        rows.append([log.run, log.rows, f"{log.duration_s:.1f}", energies])
-    terminal = console()
-    show_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows)
-    if len(logs) > len(rows):
-        terminal.print(f"… and {len(logs) - len(rows)} more runs")
-    for line in describe(logs, notes=True):
-        terminal.print(line)
-    where = targets[0] if len(targets) == 1 else targets[0].parent
-    terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""))
 
 
 def _list(sources: Sequence[Path], to: Output) -> int:
@@ -222,7 +215,11 @@ def _list(sources: Sequence[Path], to: Output) -> int:
 def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: Output) -> int:
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError.single("--suggest writes a map", got=str(out), allowed="--out MAP.yaml")
-    found = suggest_map(find_files(sources), _battery(robot) if robot is not None else "robot")
+    battery = "robot"
+    if robot is not None:
+        spec = load_robot(robot)
+        battery = spec.motion.battery if spec.motion is not None else next(iter(spec.batteries))
+    found = suggest_map(find_files(sources), battery)
     if out is not None:
         write_text(out, found.text)
     to.emit(
@@ -242,9 +239,3 @@ def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: O
     for line in found.missing:
         print(visible(line), file=sys.stderr)
     return 1 if found.missing else 0
-
-
-def _battery(robot: str) -> str:
-    """The battery that a robot drives with."""
-    spec = load_robot(robot)
-    return spec.motion.battery if spec.motion is not None else next(iter(spec.batteries))

@@ -81,7 +81,12 @@ def show(result: RunResult) -> None:
     terminal = console()
     verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
     terminal.print(titled(result.mission, f" with {result.robot}: {verdict}"))
-    terminal.print(f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {_driven(result)}")
+    driven = f"{sum(segment.kind not in ('return', 'recharge') for segment in result.segments)} segments"
+    if (cut := result.interrupted) is not None:
+        ended, where = "turned back" if result.returned else "stopped", result.segments[cut.segment].name
+        driven = f"{result.segments_driven} of {driven}\n"
+        driven += f"{ended} after {clock(cut.time_s)} in segment {cut.segment + 1}, '{where}'"
+    terminal.print(f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {driven}")
     rows = []
     for name, b in result.batteries.items():
         left = [f"{b.charge_left_wh:.3f}", f"{100 * b.charge_left_fraction:.1f} %", f"{b.reserve_required_wh:.3f}"]
@@ -97,7 +102,10 @@ def show(result: RunResult) -> None:
         if text := trouble(battery):
             terminal.print(f"  {name}: {text}")
     if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
-        terminal.print(f"  home Wh unknown ({', '.join(unknown)}): {_no_way_home(result)}")
+        why = "the environment has no way from the mission's end to a dock, or that end is no place of it"
+        if "environment" not in result.provenance.get("files", {}):
+            why = "the mission has no environment, so that no way to a dock is known"
+        terminal.print(f"  home Wh unknown ({', '.join(unknown)}): {why}")
     for fault in result.warnings:
         terminal.print(f"  warning: {fault.message}")
     if result.never_on:
@@ -111,25 +119,6 @@ def show(result: RunResult) -> None:
         rows = [[told.get(name, name), *(f"{wh.get(name, 0.0):.3f}" for wh in schemes.values())] for name in names]
         show_table("Energy by control scheme [Wh]", ["scheme", *(f">{b}" for b in schemes)], rows)
     terminal.print(segment_rows(result))
-
-
-def _driven(result: RunResult) -> str:
-    """How many segments were driven; of a mission that was cut short also when and where."""
-    planned = sum(segment.kind not in ("return", "recharge") for segment in result.segments)
-    cut = result.interrupted
-    if cut is None:
-        return f"{planned} segments"
-    ended = "turned back" if result.returned else "stopped"
-    return (
-        f"{result.segments_driven} of {planned} segments\n"
-        f"{ended} after {clock(cut.time_s)} in segment {cut.segment + 1}, '{result.segments[cut.segment].name}'"
-    )
-
-
-def _no_way_home(result: RunResult) -> str:
-    if "environment" not in result.provenance.get("files", {}):
-        return "the mission has no environment, so that no way to a dock is known"
-    return "the environment has no way from the mission's end to a dock, or that end is no place of it"
 
 
 def segment_rows(result: RunResult, most: int = 14) -> Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
@@ -21,27 +20,18 @@ effects_app = App(
 )
 
 
-def log_columns(names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """What a log must have for covariates of an effect, and which of them follow from that (clocks, acceleration)."""
-    columns: list[str] = []
-    derived: list[str] = []
-    for name in names:
-        if name.startswith("on_time_"):
-            source = f"on_{name.removeprefix('on_time_').removesuffix('_s')}"
-        else:
-            source = "speed_m_s" if name in ("moving_time_s", "starts", "starts_per_s", "accel_m_s2") else name
-        columns.append(source)
-        if source != name:
-            derived.append(name)
-    return list(dict.fromkeys(columns)), derived
-
-
 def _describe(id: str) -> dict[str, Any]:
     from missionsim.effects.library import get_effect
 
     family, _, name = id.partition(":")
     effect = get_effect(f"{family}:{name.strip('<>')}" if name else id, surfaces=("<surface>",))
-    needs, derived = log_columns(effect.needs)
+    # what a log must have for its covariates; clocks and acceleration follow from that
+    columns = {}
+    for need in effect.needs:
+        columns[need] = "speed_m_s" if need in ("moving_time_s", "starts", "starts_per_s", "accel_m_s2") else need
+        if need.startswith("on_time_"):
+            columns[need] = f"on_{need.removeprefix('on_time_').removesuffix('_s')}"
+    needs, derived = list(dict.fromkeys(columns.values())), [need for need, column in columns.items() if column != need]
     if name.startswith("<"):
         needs, derived = ([text.replace(name.strip("<>"), name) for text in texts] for texts in (needs, derived))
     return {
