@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, cast
@@ -12,7 +14,7 @@ from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.named_models import get_motion_model, law_models
 from missionsim.errors import InputError
-from missionsim.expressions import Expression, Place, compile_expression
+from missionsim.expressions import Place, compile_expression
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics.lag import Meter
@@ -28,50 +30,46 @@ def build_power_model(robot: RobotSpec) -> PowerModel:
     if robot.body.mass is not None:
         constants["body_mass_kg"] = robot.body.mass.value
     terms: list[Term] = []
-    for part in (_motion(robot), _components(robot), _switchboards(robot), _processor(robot), _effects(robot)):
-        terms.extend(part)
+    counts: Counter[TermKey] = Counter()
+    for term in itertools.chain(_motion(robot), _components(robot), _boards(robot), _effects(robot)):
+        counts[term.key] += 1
+        count, key = counts[term.key], term.key
+        if count > 1:  # a second one of the same name on a battery gets a number
+            names = {p: f"{term.name_of(p)} {count}" for p in term.parameters}
+            term = replace(term, key=key._replace(name=f"{key.name} {count}"), names=names)
+        terms.append(term)
     for name, battery in robot.batteries.items():
         voltage = f"voltage_{name}_v"
         if battery.nominal_voltage is not None and any(voltage in term.effect.needs for term in terms):
             constants[voltage] = battery.nominal_voltage.value  # a mission knows no other
-    back = model_parameter(robot.body.regeneration) if robot.body.regeneration.value > 0.0 else None
-    known, floors = _known(robot)
-    meters = {n: Meter(b.meter.delay.value, b.meter.lag.value) for n, b in robot.batteries.items() if b.meter}
-    return PowerModel(
-        tuple(_unique(terms)),
-        tuple(robot.batteries),
-        constants,
-        back,
-        _switching(robot),
-        known=known,
-        floors=floors,
-        meters=meters,
-    )
-
-
-def _known(robot: RobotSpec) -> tuple[dict[str, tuple[float, float]], frozenset[str]]:
-    """Ranges and floors that the runs behind the base and the added effects covered together."""
-    found: dict[str, tuple[float, float]] = {}
+    # ranges and floors that the runs behind the base and the added effects covered together
+    known: dict[str, tuple[float, float]] = {}
     floors: set[str] = set()
     for origin in [robot.origin, *(spec.origin for spec in robot.effects if not spec.candidate)]:
         ranges = cast("dict[str, list[Any]]", origin.get("range", {}))  # checked as the file was read
+        floors |= set(ranges.get("surface", ()))
         for name, limits in ranges.items():
-            if name == "surface":
-                floors |= set(limits)
-            else:
+            if name != "surface":
                 low, high = map(float, limits)
-                before = found.get(name, (low, high))
-                found[name] = (min(low, before[0]), max(high, before[1]))
-    return found, frozenset(floors)
-
-
-def _switching(robot: RobotSpec) -> dict[str, dict[str, float]]:
-    """Units of components that each scheme requires; not a number where it may use them."""
-    found = {}
+                before = known.get(name, (low, high))
+                known[name] = (min(low, before[0]), max(high, before[1]))
+    # units of components that each scheme requires; not a number where it may use them
+    switching = {}
     for name, scheme in robot.schemes.items():
         required, allowed = scheme.sensor_rules()
-        found[name] = {component: float(required.get(component, "nan")) for component in allowed}
-    return found
+        switching[name] = {component: float(required.get(component, "nan")) for component in allowed}
+    back = model_parameter(robot.body.regeneration) if robot.body.regeneration.value > 0.0 else None
+    meters = {n: Meter(b.meter.delay.value, b.meter.lag.value) for n, b in robot.batteries.items() if b.meter}
+    return PowerModel(
+        tuple(terms),
+        tuple(robot.batteries),
+        constants,
+        back,
+        switching,
+        known=known,
+        floors=frozenset(floors),
+        meters=meters,
+    )
 
 
 def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
@@ -91,29 +89,21 @@ def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
 
 def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
     """The effect that one entry of a robot's ``effects:`` names or writes out; messages tell its place in `robot`."""
-    place = _place(robot, (*spec.where, "power" if spec.effect is None else "effect"))
+    path = (*spec.where, "power" if spec.effect is None else "effect")
+    place = Place() if robot is None else robot.document.place(path)
     if spec.effect is not None:
         surfaces = tuple(name[2:] for name in spec.parameters if name.startswith("k_"))
         effect = get_effect(spec.effect, surfaces, spec.battery)
     else:
-        formula = _compiled(spec.power, place)
+        formula = compile_expression(spec.power or "", **place._asdict())
         given = {name: model_parameter(p) for name, p in spec.parameters.items()}
         specs = tuple(ParameterSpec(name, p.unit, low=p.low, high=p.high, default=p.value) for name, p in given.items())
-        effect = base_terms.expression_term(spec.name or "", formula, specs, drive=_about_motion(formula.names))
+        drive = not formula.names.isdisjoint(_OF_MOTION)
+        effect = base_terms.expression_term(spec.name or "", formula, specs, drive=drive)
     return replace(effect, component=spec.component or effect.component, place=place)
 
 
-def _about_motion(names: frozenset[str]) -> bool:
-    motion = {"v", "a", "w", "u", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"}
-    return bool(names & motion)
-
-
-def _compiled(formula: Any, place: Place) -> Expression:
-    return compile_expression(str(getattr(formula, "source", formula)), **place._asdict())
-
-
-def _place(robot: RobotSpec | None, path: tuple[str | int, ...]) -> Place:
-    return Place() if robot is None else robot.document.place(path)
+_OF_MOTION = {"v", "a", "w", "u", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"}
 
 
 def _converted(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...]) -> dict[str, ModelParameter]:
@@ -151,9 +141,9 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
         yield from model.build(motion.battery, _converted(motion.parameters, model.parameters))
         return
     parameters = {name: model_parameter(p) for name, p in motion.parameters.items()}
-    place = _place(robot, ("motion", "power"))
-    formula = _compiled(motion.power, place)
-    standing = None if motion.standing is None else _compiled(motion.standing, _place(robot, ("motion", "standing")))
+    place, at_rest = (robot.document.place(("motion", key)) for key in ("power", "standing"))
+    formula = compile_expression(motion.power or "", **place._asdict())
+    standing = None if motion.standing is None else compile_expression(motion.standing, **at_rest._asdict())
     for effect in base_terms.motion_expression_terms(formula, standing, tuple(parameters)):
         used = {spec.name: parameters[spec.name] for spec in effect.parameters}
         key = TermKey(motion.battery, effect.component, effect.id)
@@ -162,27 +152,18 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
 
 def _components(robot: RobotSpec) -> Iterator[Term]:
     for name, component in robot.components.items():
-        for load in component.loads:
-            link = _link(robot, load)
-            effect, parameters = _load(name, component, load, _place(robot, (*load.where, "law", "power")))
+        # path and value of the efficiency of the converter that a load hangs on
+        through = [robot.links[load.through].efficiency if load.through else None for load in component.loads]
+        links = [("", 1.0) if efficiency is None else (efficiency.path, efficiency.value) for efficiency in through]
+        for load, link in zip(component.loads, links, strict=True):
+            effect, parameters = _load(name, component, load, robot.document.place((*load.where, "law", "power")))
             names = {p: f"{name}.{p}" for p in parameters}
             yield Term(TermKey(load.battery, name, name), effect, parameters, names, scale=1.0 / link[1], link=link)
-        startup = component.startup
-        if startup is not None and startup.power is not None:
-            load = component.loads[0]
-            link = _link(robot, load)
-            key = TermKey(load.battery, name, f"{name} start-up")
+        if component.startup is not None and component.startup.power is not None:
             effect = base_terms.component_term(name, starting=True)
-            parameters, names = {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}
-            yield Term(key, effect, parameters, names, scale=1.0 / link[1], link=link)
-
-
-def _link(robot: RobotSpec, load: LoadSpec) -> tuple[str, float]:
-    """Path and value of the efficiency of the converter that a load hangs on."""
-    if not load.through:
-        return "", 1.0
-    efficiency = robot.links[load.through].efficiency
-    return efficiency.path, efficiency.value
+            parameters, names = {"power": model_parameter(component.startup.power)}, {"power": f"{name}.startup_power"}
+            key = TermKey(component.loads[0].battery, name, f"{name} start-up")
+            yield Term(key, effect, parameters, names, scale=1.0 / links[0][1], link=links[0])
 
 
 def _load(
@@ -203,7 +184,7 @@ def _load(
             "law", name, model.equation, "robot file", "by its law", model.parameters, model.power, column, model.needs
         )
         return replace(effect, place=place), given
-    formula = _compiled(law.power, place)
+    formula = compile_expression(law.power or "", **place._asdict())
     given = {key: model_parameter(p) for key, p in law.parameters.items()}
     if law.rate is not None:
         given["rate"] = model_parameter(law.rate)
@@ -211,19 +192,17 @@ def _load(
     return replace(base_terms.law_term(name, formula, specs, component.always_on), place=place), given
 
 
-def _switchboards(robot: RobotSpec) -> Iterator[Term]:
+def _boards(robot: RobotSpec) -> Iterator[Term]:
+    """Switchboards, and the processor."""
     for name, board in robot.switchboards.items():
         relays = tuple(key for key, component in robot.components.items() if component.relay == name)
         effect = base_terms.switchboard_term(name, len(board.power), relays)
         parameters = {f"relays_{i}": model_parameter(p) for i, p in enumerate(board.power)}
         yield Term(TermKey(board.battery, name, name), effect, parameters, {p: f"{name}.{p}" for p in parameters})
-
-
-def _processor(robot: RobotSpec) -> Iterator[Term]:
     if robot.processor is None:
         return
     entries: list[tuple[str, str, Mapping[str, int], str]] = []
-    parameters: dict[str, ModelParameter] = {}
+    given: dict[str, ModelParameter] = {}
     for scheme, spec in robot.schemes.items():
         # among rows that are equally near, the larger power is the careful choice: it is met first
         for row in sorted(spec.processor, key=lambda row: -row.power.value):
@@ -231,22 +210,21 @@ def _processor(robot: RobotSpec) -> Iterator[Term]:
             label = "+".join(f"{count}{key}" for key, count in sorted(sensors.items())) or "none"
             name = ".".join(("processor", scheme, row.navigation or "any", label))
             entries.append((scheme, row.navigation or "", sensors, name))
-            parameters[name] = model_parameter(row.power)
+            given[name] = model_parameter(row.power)
     columns = tuple(sorted({f"on_{key}" for entry in entries for key in entry[2]}))
-    idle = None
+    idle = None if robot.processor.idle is None else "processor.idle"
     if robot.processor.idle is not None:
-        idle = "processor.idle"
-        parameters[idle] = model_parameter(robot.processor.idle)
-    if not parameters:
-        return
-    effect = base_terms.processor_term(tuple(entries), columns, idle, robot.processor.fallback == "refuse")
-    key = TermKey(robot.processor.battery, "processor", "processor")
-    yield Term(key, effect, parameters, {name: name for name in parameters})
+        given["processor.idle"] = model_parameter(robot.processor.idle)
+    if given:
+        effect = base_terms.processor_term(tuple(entries), columns, idle, robot.processor.fallback == "refuse")
+        yield Term(
+            TermKey(robot.processor.battery, "processor", "processor"), effect, given, {name: name for name in given}
+        )
 
 
 def _effects(robot: RobotSpec) -> Iterator[Term]:
     for spec in robot.effects:
-        if getattr(spec, "candidate", False):
+        if spec.candidate:
             continue
         effect = build_effect(spec, robot)
         if effect.execution:
@@ -255,16 +233,3 @@ def _effects(robot: RobotSpec) -> Iterator[Term]:
         parameters = _complete(f"effect '{label}'", _converted(spec.parameters, effect.parameters), effect.parameters)
         names = {name: f"{label}.{name}" for name in parameters}
         yield Term(TermKey(spec.battery, effect.component, label), effect, parameters, names, base=False)
-
-
-def _unique(terms: list[Term]) -> Iterator[Term]:
-    """Terms with keys of their own: a second one of the same name on a battery gets a number."""
-    seen: dict[TermKey, int] = {}
-    for term in terms:
-        count = seen[term.key] = seen.get(term.key, 0) + 1
-        if count == 1:
-            yield term
-            continue
-        key = term.key._replace(name=f"{term.key.name} {count}")
-        names = {p: f"{term.name_of(p)} {count}" for p in term.parameters}
-        yield Term(key, term.effect, term.parameters, names, term.base, term.scale, term.link)

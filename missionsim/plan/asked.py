@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager
 
 import numpy as np
 
 from missionsim.errors import Fault, InputError, MissionsimError
-from missionsim.inputs.mission import ActivitySpec, AnchorSpec, MissionSpec
-from missionsim.inputs.robot import BehaviourSpec
+from missionsim.inputs.mission import ActivitySpec, MissionSpec
 from missionsim.inputs.segments import DockSegment, RepeatSegment, SegmentSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.legs import Activity, Leg, Limits, Odd, Pace, Recharge, Settings, Trigger, least
@@ -32,15 +30,6 @@ def failures(probability: float, rng: np.random.Generator) -> int:
     return int(math.log(lot) / math.log(probability)) if probability > 0.0 else 0
 
 
-@contextlib.contextmanager
-def told_at(file: str, parameter: Parameter) -> Iterator[None]:
-    """Tell what is wrong with a number where it stands."""
-    try:
-        yield
-    except MissionsimError as error:
-        raise InputError(Fault(file, parameter.line, 0, str(error), parameter.path)) from error
-
-
 def stopped_by_obstacles(
     legs: Iterable[Leg], spacing_m: float, stop_s: float, rng: np.random.Generator
 ) -> tuple[list[Leg], int]:
@@ -52,6 +41,14 @@ def stopped_by_obstacles(
     them, and the number of stops. Raises MissionsimError: where more than half of `MOST_OBSTACLES` are to be expected
     on a leg.
     """
+
+    def piece(leg: Leg, from_m: float, to_m: float) -> Leg:
+        edge = leg.edge
+        if edge is not None:
+            scale = (edge.to_m - edge.from_m) / leg.distance_m
+            edge = edge._replace(from_m=edge.from_m + from_m * scale, to_m=edge.from_m + to_m * scale)
+        return leg._replace(distance_m=to_m - from_m, edge=edge)
+
     made: list[Leg] = []
     stops = 0
     for leg in legs:
@@ -69,20 +66,12 @@ def stopped_by_obstacles(
             at = done + rng.exponential(spacing_m)
             if at >= leg.distance_m:
                 break
-            made.append(_piece(leg, done, at)._replace(place=""))
+            made.append(piece(leg, done, at)._replace(place=""))
             made.append(Leg("stand", leg.settings, duration_s=rng.exponential(stop_s)))
             done, here = at, here + 1
-        made.append(_piece(leg, done, leg.distance_m) if here else leg)
+        made.append(piece(leg, done, leg.distance_m) if here else leg)
         stops += here
     return made, stops
-
-
-def _piece(leg: Leg, from_m: float, to_m: float) -> Leg:
-    edge = leg.edge
-    if edge is not None:
-        scale = (edge.to_m - edge.from_m) / leg.distance_m
-        edge = edge._replace(from_m=edge.from_m + from_m * scale, to_m=edge.from_m + to_m * scale)
-    return leg._replace(distance_m=to_m - from_m, edge=edge)
 
 
 EXTRAS = (
@@ -107,20 +96,20 @@ class Asked:
         self.odd = Odd()
         self.scheme = ""
         body = self.robot.body
-        accel = self._robot(body.max_acceleration)
-        decel = self._robot(body.max_deceleration)
-        self.limits = Limits(
-            accel,
-            accel if decel is None else decel,
-            self.number(body.max_yaw_rate, "robot."),
-            self._robot(body.max_yaw_acceleration),
-        )
+        accel, decel = (self.maybe(p, "robot.") for p in (body.max_acceleration, body.max_deceleration))
+        turning = self.number(body.max_yaw_rate, "robot."), self.maybe(body.max_yaw_acceleration, "robot.")
+        self.limits = Limits(accel, accel if decel is None else decel, *turning)
         self._base: dict[int, Settings] = {}
-        self._ambient_values = self._ambient()
-        self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
-        self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in EXTRAS}
-        self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
-        self._behaviours_of: dict[str, tuple[tuple[BehaviourSpec | None, str], ...]] = {}
+        self._everywhere: dict[str, float | str] = {}
+        self._surface = ""
+        if environment is not None:
+            ambient = environment.ambient
+            self._surface = ambient.surface or ""
+            for key, column in EXTRAS:
+                given: Parameter | None = getattr(ambient, key, None)
+                if given is not None:
+                    self._everywhere[column] = self.number(given, "environment.")
+            self._everywhere |= {name: self.condition(v, "environment.") for name, v in ambient.conditions.items()}
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
         """Value of a parameter, drawn or nominal."""
@@ -128,8 +117,13 @@ class Asked:
             return self.numbers.get(prefix + parameter.path, parameter.value)
         return parameter.value
 
-    def _robot(self, parameter: Parameter | None) -> float | None:
-        return None if parameter is None else self.number(parameter, "robot.")
+    def maybe(self, parameter: Parameter | None, prefix: str = "") -> float | None:
+        """Value of a parameter that may be left out."""
+        return None if parameter is None else self.number(parameter, prefix)
+
+    def condition(self, value: Parameter | str, prefix: str = "") -> float | str:
+        """Value of a covariate that may be a word."""
+        return self.number(value, prefix) if isinstance(value, Parameter) else value
 
     def fault(self, segment: SegmentSpec | RepeatSegment, message: str, allowed: str = "") -> InputError:
         """A fault at the line of a segment."""
@@ -141,93 +135,62 @@ class Asked:
         known = self._base.get(id(segment))
         if known is not None:
             return known
-        payload = mission.setting(segment, "payload")
-        surface = mission.setting(segment, "surface")
-        extra: dict[str, float | str] = dict(self._ambient_values)
+        payload, surface = mission.setting(segment, "payload"), mission.setting(segment, "surface")
+        slope: Parameter | None = getattr(segment, "slope", None)
+        extra = dict(self._everywhere)
         for key, column in EXTRAS:
-            given = getattr(segment, key)
-            if given is None:
-                given = self._default_extras[key]
+            own: Parameter | None = getattr(segment, key)
+            given: Parameter | None = getattr(mission.defaults, key, None) if own is None else own
             if given is not None:
                 extra[column] = self.number(given)
         for source in (mission.defaults.conditions, segment.conditions):
-            if source:
-                extra |= {name: self._condition(value) for name, value in source.items()}
-        slope: Parameter | None = getattr(segment, "slope", None)
-        made = Settings(
+            extra |= {name: self.condition(value) for name, value in source.items()}
+        made = self._base[id(segment)] = Settings(
             *mission.equipment(segment),
             0.0 if payload is None else self.number(payload),
             0.0 if slope is None else self.number(slope),
-            self._ambient_surface if surface is None else surface,
+            self._surface if surface is None else surface,
             tuple(sorted(extra.items())),
         )
-        self._base[id(segment)] = made
         return made
 
-    def _condition(self, value: object, prefix: str = "") -> float | str:
-        return self.number(value, prefix) if isinstance(value, Parameter) else str(value)
-
-    def _ambient(self) -> dict[str, float | str]:
-        environment = self.environment
-        if environment is None:
-            return {}
-        ambient = environment.ambient
-        pairs = (("temp_ambient_c", ambient.temperature), ("access_point_distance_m", ambient.access_point_distance))
-        known: dict[str, float | str] = {name: self.number(p, "environment.") for name, p in pairs if p is not None}
-        return known | {name: self._condition(value, "environment.") for name, value in ambient.conditions.items()}
-
-    def _behaviours(self, scheme: str) -> tuple[tuple[BehaviourSpec | None, str], ...]:
-        """Who says how the robot behaves under a scheme, the most specific first."""
-        known = self._behaviours_of.get(scheme)
-        if known is None:
-            mission = self.mission
-            of_robot = self.robot.schemes.get(scheme)
-            known = self._behaviours_of[scheme] = (
-                (mission.behaviour.schemes.get(scheme), ""),
-                (mission.behaviour, ""),
-                (mission.defaults.behaviour, ""),
-                (of_robot.behaviour if of_robot else None, "robot."),
-            )
-        return known
-
-    def behaviour(self, segment: SegmentSpec, key: str) -> float | None:
+    def behaviour(self, segment: SegmentSpec, key: str, unsaid: float = 0.0) -> float:
         """The number that the behaviour of a segment says of something."""
         given = self.given(segment, key)
-        return None if given is None else self.number(*given)
+        return unsaid if given is None else self.number(*given)
 
     def given(self, segment: SegmentSpec, key: str) -> tuple[Parameter, str] | None:
-        """The parameter of the behaviour of a segment, and the prefix of its path."""
-        for source, prefix in ((segment.behaviour, ""), *self._behaviours(self.scheme)):
-            given = None if source is None else getattr(source, key)
+        """The parameter of the behaviour of a segment, and the prefix of its path: the most specific of those given."""
+        mission, of_robot = self.mission, self.robot.schemes.get(self.scheme)
+        for source, prefix in (
+            (segment.behaviour, ""),
+            (mission.behaviour.schemes.get(self.scheme), ""),
+            (mission.behaviour, ""),
+            (mission.defaults.behaviour, ""),
+            (None if of_robot is None else of_robot.behaviour, "robot."),
+        ):
+            given: Parameter | None = getattr(source, key, None)
             if given is not None:
                 return given, prefix
         return None
 
     def pace(self, segment: SegmentSpec, way_m_s: float = math.inf) -> Pace:
         """Speed asked of a segment and what limits it."""
+        body, scheme = self.robot.body, self.robot.schemes.get(self.scheme)
         tracking = self.given(segment, "speed_tracking")
         raised = 1.0 if tracking is None else max(1.0, tracking[0].value)
-        robot, scheme, top = self._top(segment.kind == "move", raised)
+        top = self.number(body.max_speed, "robot.")
+        most = self.maybe(None if scheme is None else scheme.max_speed, "robot.")
+        most = math.inf if most is None else most
         given = self.mission.setting(segment, "speed")
-        asked = top if given is None else self.number(given)
+        asked = least(top, most) if given is None else self.number(given)
         if tracking is not None:
             asked = asked * self.number(*tracking)
         self.above_0(asked, segment, "a segment that drives needs a speed above 0")
-        return Pace(asked, robot, scheme, way_m_s)
-
-    def _top(self, sideways: bool, raised: float) -> tuple[float, float, float]:
-        """Greatest speed of the robot and of the control scheme, raised, and the one driven where none is asked."""
-        key = (self.scheme, sideways, raised)
-        if key not in self._tops:
-            body, scheme = self.robot.body, self.robot.schemes.get(self.scheme)
-            robot = self.number(body.max_speed, "robot.")
-            given = None if scheme is None else scheme.max_speed
-            most = math.inf if given is None else self.number(given, "robot.")
-            top = robot
-            if sideways and body.max_lateral_speed is not None and body.max_lateral_speed.value > body.max_speed.value:
-                top = self.number(body.max_lateral_speed, "robot.")
-            self._tops[key] = (top * raised, most * raised, least(robot, most))
-        return self._tops[key]
+        sideways = body.max_lateral_speed
+        if segment.kind == "move" and sideways is not None and sideways.value > body.max_speed.value:
+            top = self.number(sideways, "robot.")
+        return Pace(asked, top * raised, most * raised, way_m_s)
 
     def above_0(self, number: float, segment: SegmentSpec, message: str) -> None:
         """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""
@@ -237,63 +200,46 @@ class Asked:
         elif not number > 0.0:
             raise self.fault(segment, message)
 
-    def stretch(self, segment: SegmentSpec) -> float:
-        """How many times as long as planned the way of a segment is."""
-        given = self.behaviour(segment, "path_stretch")
-        return 1.0 if given is None else given
-
-    def instant(self, segment: SegmentSpec) -> bool:
-        """Whether its speed is reached at once."""
-        return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
-
     def yaw_rate(self, segment: SegmentSpec) -> float:
         """Limit of the yaw rate on a segment."""
         given = self.mission.setting(segment, "yaw_rate")
         return self.limits.yaw_rate_rad_s if given is None else self.number(given)
 
-    def told_at(self, parameter: Parameter, prefix: str = "") -> AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def told_at(self, parameter: Parameter, prefix: str = "") -> Iterator[None]:
         """What is wrong with a number is told where it stands."""
-        return told_at(str((self.robot if prefix else self.mission).path), parameter)
+        try:
+            yield
+        except MissionsimError as error:
+            file = str((self.robot if prefix else self.mission).path)
+            raise InputError(Fault(file, parameter.line, 0, str(error), parameter.path)) from error
 
     def recharge(self, segment: DockSegment, place: str) -> Recharge:
         """Charging as a dock segment asks for it at a place."""
-        environment = self.environment
-        charger = None
-        if environment is not None and place in environment.places:
-            charger = environment.places[place].charger
+        known = {} if self.environment is None else self.environment.places
+        charger = known[place].charger if place in known else None
         if charger is None:
-            raise self.fault(
-                segment, f"no charger at '{place or 'an unknown place'}'", "a place with a charger, reached before"
-            )
+            message = f"no charger at '{place or 'an unknown place'}'"
+            raise self.fault(segment, message, "a place with a charger, reached before")
         asked = segment.recharge
         batteries = asked.batteries or charger.batteries or tuple(self.robot.batteries)
         offered = self.number(charger.power, "environment.")
         power = {}
         for name, spec in self.robot.batteries.items():
             if name in batteries:
-                most = math.inf if spec.max_charge_power is None else self.number(spec.max_charge_power, "robot.")
-                power[name] = least(offered, most) * self.number(spec.charge_efficiency, "robot.")
-        return Recharge(
-            place,
-            power,
-            tuple(power),
-            None if asked.until is None else self.number(asked.until),
-            None if asked.duration is None else self.number(asked.duration),
-            charger.slots,
-            math.inf if segment.if_below is None else self.number(segment.if_below),
-        )
+                most = self.maybe(spec.max_charge_power, "robot.")
+                taken = least(offered, math.inf if most is None else most)
+                power[name] = taken * self.number(spec.charge_efficiency, "robot.")
+        below = self.maybe(segment.if_below)
+        times = self.maybe(asked.until), self.maybe(asked.duration)
+        return Recharge(place, power, tuple(power), *times, charger.slots, math.inf if below is None else below)
 
     def activity(self, key: int, spec: ActivitySpec) -> Activity:
         """What a component does beside the driving."""
-        begin = self._trigger(spec.from_)
-        end = self._trigger(spec.until)
-        every = None if spec.every is None else self.number(spec.every)
-        duration = None if spec.duration is None else self.number(spec.duration)
+        begin, end = (
+            None if moment is None else Trigger(self.maybe(moment.time), moment.place or "", moment.segment or "")
+            for moment in (spec.from_, spec.until)
+        )
         place = self.mission.document.place(("activities", key, "every"))
-        return Activity(spec.component, spec.units, begin, end, every, duration, key, place)
-
-    def _trigger(self, anchor: AnchorSpec | None) -> Trigger | None:
-        if anchor is None:
-            return None
-        time = None if anchor.time is None else self.number(anchor.time)
-        return Trigger(time, anchor.place or "", anchor.segment or "")
+        bursts = self.maybe(spec.every), self.maybe(spec.duration)
+        return Activity(spec.component, spec.units, begin, end, *bursts, key, place)

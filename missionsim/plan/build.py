@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, cast
 
@@ -109,11 +110,10 @@ class _Builder(Asked):
         self.rng = rng
         self.routes = routes_of(mission, numbers)
         self.place = mission.start or ""
-        self.heading = None if mission.start_heading is None else self.number(mission.start_heading)
+        self.heading = self.maybe(mission.start_heading)
         if self.heading is None and self.environment is not None and self.place in self.environment.places:
-            given = self.environment.places[self.place].heading
-            self.heading = None if given is None else self.number(given, "environment.")
-        self.chance: dict[str, int] = {}
+            self.heading = self.maybe(self.environment.places[self.place].heading, "environment.")
+        self.chance: Counter[str] = Counter()
         self.legs: list[Leg] = []
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
@@ -161,7 +161,12 @@ class _Builder(Asked):
             return None
         if len(self.segments) >= MOST_SEGMENTS:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
-        self._name(segment)
+        label = segment.kind if segment.name is None else segment.name
+        if segment.name is None and isinstance(segment, DriveSegment) and segment.distance is None:
+            label = f"drive {segment.to or (segment.along or ('',))[-1]}"
+        count = self._names[label] = self._names.get(label, 0) + 1
+        name = label if count == 1 else f"{label} #{count}"
+        self.segments.append(SegmentInfo(name, segment.kind, segment.line, label))
         index, before, routes = len(self.segments) - 1, len(self.legs), len(self._routes)
         drawn = self.rng is not None or isinstance(self.heading, np.ndarray)
         where = None if drawn else (id(segment), self.place, self.heading)
@@ -182,8 +187,18 @@ class _Builder(Asked):
         if len(self.legs) == before:
             self.legs.append(Leg("stand", base))
         if segment.kind in ("drive", "arc", "turn", "move"):
-            given = self.behaviour(segment, "dwell")
-            dwell = (0.0 if given is None else given) + self._by_chance(segment, before)
+            dwell = self.behaviour(segment, "dwell")
+            if self.rng is not None and (spacing := self.given(segment, "obstacle_spacing")) is not None:
+                stop = self.behaviour(segment, "obstacle_stop")
+                with self.told_at(*spacing):
+                    made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
+                self.legs[before:] = made
+                self.chance["obstacles"] += stops
+            if self.rng is not None and (failure := self.given(segment, "relocalisation_failure")) is not None:
+                with self.told_at(*failure):
+                    failed = failures(self.number(*failure), self.rng)
+                self.chance["relocalisations_failed"] += failed
+                dwell = dwell + failed * self.behaviour(segment, "relocalisation_time")
             if self.odd.most(dwell != 0.0):
                 self.legs.append(Leg("stand", self.legs[-1].settings, duration_s=dwell))
         self.legs[before] = self.legs[before]._replace(first=True)
@@ -222,39 +237,9 @@ class _Builder(Asked):
             self.legs[before] = self.legs[before]._replace(gate=gate._replace(first=True))
             done += 1
 
-    def _by_chance(self, segment: SegmentSpec, before: int) -> float:
-        """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
-        if self.rng is None:
-            return 0.0
-        if (spacing := self.given(segment, "obstacle_spacing")) is not None:
-            stop = self.behaviour(segment, "obstacle_stop") or 0.0
-            with self.told_at(*spacing):
-                made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
-            self.legs[before:] = made
-            self._count("obstacles", stops)
-        if (failure := self.given(segment, "relocalisation_failure")) is None:
-            return 0.0
-        with self.told_at(*failure):
-            failed = failures(self.number(*failure), self.rng)
-        self._count("relocalisations_failed", failed)
-        return failed * (self.behaviour(segment, "relocalisation_time") or 0.0)
-
-    def _count(self, what: str, times: int) -> None:
-        self.chance[what] = self.chance.get(what, 0) + times
-
-    def _name(self, segment: SegmentSpec) -> None:
-        label = segment.kind if segment.name is None else segment.name
-        if segment.name is None and isinstance(segment, DriveSegment) and segment.distance is None:
-            label = f"drive {segment.to or (segment.along or ('',))[-1]}"
-        count = self._names.get(label, 0) + 1
-        self._names[label] = count
-        name = label if count == 1 else f"{label} #{count}"
-        self.segments.append(SegmentInfo(name, segment.kind, segment.line, label))
-
     def _drive(self, segment: DriveSegment, base: Settings) -> None:
         if segment.distance is not None:
-            heading = None if segment.heading is None else self.number(segment.heading)
-            self._face(segment, base, heading)
+            self._face(segment, base, self.maybe(segment.heading))
             self._ahead("roll", segment, base, self.number(segment.distance), self.pace(segment))
             self.place = ""
             return
@@ -312,31 +297,25 @@ class _Builder(Asked):
         pace = self.pace(segment, way.max_speed_m_s)
         key = id(base), way.edge, way.begin
         settings = self._on_way.get(key) or self._on_way.setdefault(key, along(base, way, segment.surface))
-        for low, high, here in self._radio(way, settings):
+        pieces = [(0.0, 1.0, settings)]
+        spots = self.environment.access_points.values() if self.environment is not None else ()
+        if spots and self.routes is not None and "access_point_distance_m" not in way.extra:
+            points = [(self.number(p.x, "environment."), self.number(p.y, "environment.")) for p in spots]
+            own = dict(settings.extra)
+            pieces = [
+                (low, high, settings._replace(extra=tuple(sorted({**own, "access_point_distance_m": m}.items()))))
+                for low, high, m in self.routes.away_from(way, points)
+            ] or pieces
+        for low, high, here in pieces:
             edge = OnEdge(way.begin, way.end, way.edge, way.length_m * low, way.length_m * high)
             self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge)
         self.legs[-1] = self.legs[-1]._replace(place=way.end)
 
     def _ahead(self, kind: Kind, segment: SegmentSpec, base: Settings, metres: float, pace: Pace, **more: Any) -> None:
         """A leg that is driven, as much longer as the behaviour says."""
-        metres = metres * self.stretch(segment)
-        self.legs.append(Leg(kind, base, metres, pace.speed, instant=self.instant(segment), pace=pace, **more))
-
-    def _radio(self, way: Way, settings: Settings) -> list[tuple[float, float, Settings]]:
-        """Pieces of a way with the distance to the nearest access point (its root mean square over the piece)."""
-        environment = self.environment
-        if environment is None or not environment.access_points or "access_point_distance_m" in way.extra:
-            return [(0.0, 1.0, settings)]
-        assert self.routes is not None
-        points = [
-            (self.number(p.x, "environment."), self.number(p.y, "environment."))
-            for p in environment.access_points.values()
-        ]
-        own = dict(settings.extra)
-        return [
-            (low, high, settings._replace(extra=tuple(sorted({**own, "access_point_distance_m": metres}.items()))))
-            for low, high, metres in self.routes.away_from(way, points)
-        ] or [(0.0, 1.0, settings)]
+        metres = metres * self.behaviour(segment, "path_stretch", 1.0)
+        instant = self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
+        self.legs.append(Leg(kind, base, metres, pace.speed, instant=instant, pace=pace, **more))
 
     def _face(self, segment: SegmentSpec, base: Settings, heading: float | None) -> None:
         """Turn on the spot towards a heading, where the mission asks for it and headings are known."""
@@ -378,13 +357,11 @@ class _Builder(Asked):
         if segment.repeat_probability is not None and self.rng is not None:
             with self.told_at(segment.repeat_probability):
                 times += failures(self.number(segment.repeat_probability), self.rng)
-            self._count("inspections_repeated", times - 1)
-        self._stand(base, times * self.number(segment.duration))
+            self.chance["inspections_repeated"] += times - 1
+        self._wait(segment, base, times)
 
-    def _wait(self, segment: WaitSegment, base: Settings) -> None:
-        self._stand(base, self.number(segment.duration))
-
-    def _stand(self, base: Settings, duration_s: float) -> None:
+    def _wait(self, segment: InspectSegment | WaitSegment, base: Settings, times: int = 1) -> None:
+        duration_s = times * self.number(segment.duration)
         self.legs.append(Leg("stand", base, duration_s=duration_s, place=self.place))
 
     def _dock(self, segment: DockSegment, base: Settings) -> None:

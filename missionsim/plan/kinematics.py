@@ -7,6 +7,7 @@ it depends on the limits along the path only, not on how the path is cut into pi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -147,7 +148,18 @@ def group(
         spans.append((begin, i))
         begin = i
     profiles = _profiles(legs, spans, limits)
-    return tuple(Step(legs[low].kind, _step_phases(legs, low, high, profiles.get(low))) for low, high in spans)
+    steps: list[Step] = []
+    for low, high in spans:
+        made: list[Phase] = []
+        for i, rows in zip(range(low, high), profiles.get(low, itertools.repeat(())), strict=False):
+            before = len(made)
+            for duration, speed, rate in rows:
+                if duration > SHORTEST_PHASE_S if isinstance(duration, float) else np.any(duration > SHORTEST_PHASE_S):
+                    made.append(_phase(legs[i], i, duration, speed, rate))
+            if len(made) == before:  # at least one for each leg
+                made.append(Phase(0.0 if low in profiles else legs[i].duration_s, i))
+        steps.append(Step(legs[low].kind, tuple(made)))
+    return tuple(steps)
 
 
 Profile = list[list[tuple[float, float, float]]]
@@ -163,14 +175,14 @@ def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Lim
         leg = legs[low]
         if leg.kind not in ("roll", "slide", "turn"):
             continue
-        if leg.instant or (limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2) is None:
-            found[low] = [[(_size(leg) / _limit(leg), _limit(leg), 0.0)] for leg in legs[low:high]]
+        if leg.instant or _rates(leg, limits) is None:
+            found[low] = [[(size / top, top, 0.0)] for size, top in map(_driven, legs[low:high])]
         else:
             batches.setdefault(high - low, []).append((low, high))
     for members in batches.values():
-        sizes = [[_size(leg) for leg in legs[low:high]] for low, high in members]
-        tops = [[_limit(leg) for leg in legs[low:high]] for low, high in members]
-        distance, limit, rates = _stacked(sizes, tops, [_rates(legs[low], limits) for low, _ in members])
+        driven = [list(zip(*map(_driven, legs[low:high]), strict=True)) for low, high in members]
+        sizes, tops = zip(*driven, strict=True)
+        distance, limit, rates = _stacked(sizes, tops, [_rates(legs[low], limits) or () for low, _ in members])
         made = ramp_phases(distance, limit, rates[..., 0], rates[..., 1])
         parts = [made.duration_s, made.speed_m_s, made.accel_m_s2]
         if made.duration_s.ndim == 3:
@@ -195,33 +207,17 @@ def _stacked(*tables: Sequence[Sequence[float]]) -> list[Array]:
     ]
 
 
-def _rates(leg: Leg, limits: Limits) -> tuple[float, float]:
+def _rates(leg: Leg, limits: Limits) -> tuple[float, float] | None:
+    """Limits of speeding up and of braking; None where speeds are reached at once."""
     accel = limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2
-    assert accel is not None
+    if accel is None:
+        return None
     return accel, accel if leg.kind == "turn" or limits.decel_m_s2 is None else limits.decel_m_s2
 
 
-def _size(leg: Leg) -> float:
-    return abs(leg.angle_rad) if leg.kind == "turn" else leg.distance_m
-
-
-def _limit(leg: Leg) -> float:
-    return leg.yaw_rate_rad_s if leg.kind == "turn" else leg.speed_m_s
-
-
-def _step_phases(legs: Sequence[Leg], low: int, high: int, profile: Profile | None) -> tuple[Phase, ...]:
-    """Phases of legs that follow each other without a standstill; at least one for each leg."""
-    if profile is None:
-        return tuple([Phase(legs[i].duration_s, i) for i in range(low, high)])
-    made: list[Phase] = []
-    for i, rows in zip(range(low, high), profile, strict=True):
-        before = len(made)
-        for duration, speed, rate in rows:
-            if duration > SHORTEST_PHASE_S if isinstance(duration, float) else np.any(duration > SHORTEST_PHASE_S):
-                made.append(_phase(legs[i], i, duration, speed, rate))
-        if len(made) == before:
-            made.append(Phase(0.0, i))
-    return tuple(made)
+def _driven(leg: Leg) -> tuple[float, float]:
+    """Length and speed limit; of a turn, angle and limit of the yaw rate."""
+    return (abs(leg.angle_rad), leg.yaw_rate_rad_s) if leg.kind == "turn" else (leg.distance_m, leg.speed_m_s)
 
 
 def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -> Phase:

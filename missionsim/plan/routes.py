@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
-from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
+from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.legs import Settings, least
@@ -64,51 +64,36 @@ class Routes:
         known: dict[int, tuple[Any, ...]] = {}
         for index, edge, begin, end in environment.open_ways():
             if index not in known:
-                known[index] = self._edge(edge, number)
+                length = environment.length_m(edge) if edge.length is None else number(edge.length)
+                if length is None:
+                    message = "neither a length nor coordinates at both ends"
+                    message = f"the edge from '{edge.from_}' to '{edge.to}' has {message}"
+                    raise InputError.single(message, file=str(environment.path), allowed="length: 16 m")
+                drawn = isinstance(length, np.ndarray)
+                self.drawn |= drawn
+                search = environment.length_m(edge) or 0.0 if drawn else length
+                extra: dict[str, float | str] = {
+                    name: number(value) if isinstance(value, Parameter) else value
+                    for name, value in (
+                        ("temp_ambient_c", edge.temperature),
+                        ("access_point_distance_m", edge.access_point_distance),
+                        *edge.conditions.items(),
+                    )
+                    if value is not None
+                }
+                fastest = math.inf if edge.max_speed is None else number(edge.max_speed)
+                surface = edge.surface or environment.ambient.surface or ""
+                known[index] = length, search, number(edge.slope), surface, fastest, extra
             length, search, slope, surface, fastest, extra = known[index]
             grade = slope if begin == edge.from_ else -slope
-            heading = self.heading(begin, end)
+            a, b = (environment.places[name].position for name in (begin, end))
+            heading = None if a is None or b is None or a == b else math.atan2(b[1] - a[1], b[0] - a[0])
             self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra, index, search))
-
-    def _edge(self, edge: EdgeSpec, number: Number) -> tuple[Any, ...]:
-        """Length, length to search by, slope, surface, greatest speed and covariates of an edge."""
-        length = number(edge.length) if edge.length is not None else self.environment.length_m(edge)
-        if length is None:
-            raise InputError.single(
-                f"the edge from '{edge.from_}' to '{edge.to}' has neither a length nor coordinates at both ends",
-                file=str(self.environment.path),
-                allowed="length: 16 m",
-            )
-        search = length
-        if isinstance(length, np.ndarray):
-            search, self.drawn = self.environment.length_m(edge) or 0.0, True
-        extra: dict[str, float | str] = {}
-        if edge.temperature is not None:
-            extra["temp_ambient_c"] = number(edge.temperature)
-        if edge.access_point_distance is not None:
-            extra["access_point_distance_m"] = number(edge.access_point_distance)
-        for name, value in edge.conditions.items():
-            extra[name] = number(value) if isinstance(value, Parameter) else str(value)
-        fastest = math.inf if edge.max_speed is None else number(edge.max_speed)
-        surface = edge.surface or self.environment.ambient.surface or ""
-        return length, search, number(edge.slope), surface, fastest, extra
-
-    def position(self, place: str) -> tuple[float, float] | None:
-        """Coordinates of a place [m]."""
-        spec = self.environment.places.get(place)
-        return None if spec is None else spec.position
-
-    def heading(self, begin: str, end: str) -> float | None:
-        """Direction from one place to another on the map [rad]."""
-        a, b = self.position(begin), self.position(end)
-        if a is None or b is None or a == b:
-            return None
-        return math.atan2(b[1] - a[1], b[0] - a[0])
 
     def away_from(self, way: Way, points: Sequence[tuple[float, float]]) -> list[tuple[float, float, float]]:
         """Pieces of a way and the distance [m] from each to the nearest point (its root mean square over the piece).
         Begin and end are parts of the way; none where the way's ends have no coordinates."""
-        a, b = self.position(way.begin), self.position(way.end)
+        a, b = (self.environment.places[name].position for name in (way.begin, way.end))
         if a is None or b is None:
             return []
         count = max(1, math.ceil(way.search_m / RADIO_PIECE_M))
