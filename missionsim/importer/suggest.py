@@ -58,14 +58,11 @@ class Draft:
     remarks: list[str] = field(default_factory=list)
 
     def best(self, role: str, least: float = 0.3) -> list[Guess]:
-        """The guesses for a role, best first."""
+        """The guesses for a role, best first, also of fields that another role fits better."""
         used = {guess.field for _, guess in self.columns.values()} | set(self.signals.values())
-        found = [guess for guess in self.all_of(role) if guess.score > least and guess.field not in used]
+        guesses = [guess_role(one, ROLES[role]) for one in self.fields.values() if one.name not in used]
+        found = [guess for guess in guesses if guess is not None and guess.score > least]
         return sorted(found, key=lambda guess: (-guess.score, len(guess.field)))
-
-    def all_of(self, role: str) -> list[Guess]:
-        """Every field that may be of a role, also where another role fits better."""
-        return [guess for one in self.fields.values() if (guess := guess_role(one, ROLES[role])) is not None]
 
     def values(self, name: str, unit: str = "") -> Array:
         """Numbers of a field in the glossary's unit."""
@@ -84,17 +81,13 @@ class Draft:
         self.signals[alias] = name
         return alias
 
-    def column(self, name: str, formula: str, guess: Guess, **more: str) -> None:
+    def column(self, name: str, formula: str, guess: Guess) -> None:
         """A column of the log; the first that is given stays."""
         if name in self.columns:
             return
-        unit = {"unit": quoted(guess.unit)} if guess.unit else {}
-        more = {**unit, **more}
-        if more:
-            inner = ", ".join(f"{key}: {value}" for key, value in {"value": quoted(formula), **more}.items())
-            formula = f"{{{inner}}}"
-        else:
-            formula = quoted(formula)
+        formula = quoted(formula)
+        if guess.unit:
+            formula = f"{{value: {formula}, unit: {quoted(guess.unit)}}}"
         self.columns[name] = (formula, guess)
 
 
@@ -141,30 +134,28 @@ def _single(path: Path) -> Draft:
     return draft
 
 
-def _layout(path: Path) -> tuple[str, ...]:
-    reader = reader_of(path)
-    return tuple(one.name for one in fields_of(path, reader, 50)) if reader.table is not None else (reader.name,)
-
-
 def _to_join(paths: Sequence[Path]) -> list[Path]:
     """The files of one run: one of each layout, where no file has both power and motion; nothing for a lone file."""
     layouts: dict[tuple[str, ...], Path] = {}
     for path in paths[:50]:
-        layouts.setdefault(_layout(path), path)
+        reader = reader_of(path)
+        names = (one.name for one in fields_of(path, reader, 50)) if reader.table is not None else (reader.name,)
+        layouts.setdefault(tuple(names), path)
     if len(layouts) < 2:
         return []
-    whole = 0
     for path in layouts.values():
         roles = {guess.role for guess in guess_all(fields_of(path, most=2_000)).values() if guess.score > 0.8}
-        whole += bool(roles & {"power", "voltage"}) and bool(roles & {"speed", "left"})
-    return [] if whole else list(layouts.values())
+        if roles & {"power", "voltage"} and roles & {"speed", "left"}:
+            return []
+    return list(layouts.values())
 
 
 def _joined(paths: Sequence[Path]) -> Draft:
     """Fields of several files under ``file.column``, with the time of each."""
     draft = Draft({}, False)
-    prefix = _common(paths)
-    files = []
+    # what the names of the files of a run begin with, up to and with a mark
+    match = re.match(r".*[_\- ]", os.path.commonprefix([path.stem for path in paths]))  # noqa: RUF071 (names, no paths)
+    prefix, files = match[0] if match else "", []
     for path in paths:
         alias = identifier(path.stem[len(prefix) :].strip("_- ") or path.stem).lower()
         reader = reader_of(path)
@@ -194,18 +185,9 @@ def _joined(paths: Sequence[Path]) -> Draft:
     return draft
 
 
-def _common(paths: Sequence[Path]) -> str:
-    """What the names of the files of a run begin with, up to and with a mark."""
-    match = re.match(r".*[_\- ]", os.path.commonprefix([path.stem for path in paths]))  # noqa: RUF071 (names, no paths)
-    return match[0] if match else ""
-
-
 def _time(draft: Draft, path: Path) -> None:
     """Column or columns of the time of a table, and the times themselves."""
-    found = draft.best("time")
-    for guess in found:
-        if _distinct(draft.fields[guess.field].values) < 0.3:
-            found = [other for other in found if other is not guess] + [guess]
+    found = sorted(draft.best("time"), key=lambda guess: _distinct(draft.fields[guess.field].values) < 0.3)
     texts = [guess for guess in found if isinstance(draft.fields[guess.field].values, Labels)]
     raw = RawTable(str(path), {one.name: one.values for one in draft.fields.values()})
     if found and found[0] not in texts:
@@ -225,7 +207,10 @@ def _time(draft: Draft, path: Path) -> None:
         draft.columns["time_s"] = (f"{{stamp: [{', '.join(refs)}]}}", guess)
         formula = ""
     else:
-        index = _index(draft)
+        numbers = [one for one in draft.fields.values() if not isinstance(one.values, Labels) and len(one.values) > 2]
+        index = next(
+            (one.name for one in numbers if (np.diff(np.asarray(one.values)) == 1).all()), ""
+        )  # counts the rows
         message = "no column looks like a time: write it in the place of TIME"
         if index:
             message = f"no column is a time; '{index}' counts the rows: put their rate in the place of RATE"
@@ -260,14 +245,6 @@ def _distinct(values: Array | Labels) -> float:
     """Share of the rows at which a column changes."""
     codes = values.codes if isinstance(values, Labels) else values
     return float(np.mean(codes[1:] != codes[:-1])) if len(codes) > 1 else 1.0
-
-
-def _index(draft: Draft) -> str:
-    """A column that counts the rows."""
-    for name, one in draft.fields.items():
-        if not isinstance(one.values, Labels) and len(one.values) > 2 and (np.diff(one.values) == 1).all():
-            return name
-    return ""
 
 
 def _text(draft: Draft, paths: Sequence[Path], used: set[str]) -> str:

@@ -32,8 +32,19 @@ def suggest(draft: Draft) -> None:
     if slopes:
         draft.column("slope_rad", draft.ref(slopes[0].field, "slope"), slopes[0])
     _attitude(draft, speed)
-    if "slope_rad" not in draft.columns and speed:
-        _from_elevation(draft)
+    for guess in draft.best("elevation", 0.5)[:1] if "slope_rad" not in draft.columns and speed else ():
+        heights = draft.values(guess.field, guess.unit)
+        if not np.ptp(heights[np.isfinite(heights)]):
+            continue
+        why = f"'{guess.field}' over the way driven; averaged over 11 s"
+        draft.columns["climb_m_s"] = (
+            f"{{differentiate: {draft.ref(guess.field, 'z')}, average: 11 s}}",
+            replace(guess, sure="likely", why=f"rate of '{guess.field}'"),
+        )
+        draft.columns["slope_rad"] = (
+            '"where(abs(speed_m_s) > 0.5, arctan(climb_m_s / max(abs(speed_m_s), 0.5)), 0)"',
+            Guess("slope", guess.field, "", 0.9, why, "likely"),
+        )
     if "heading_rad" not in draft.columns:
         for guess in draft.best("heading", 0.5)[:1]:
             draft.column("heading_rad", draft.ref(guess.field, "heading"), guess)
@@ -213,25 +224,6 @@ def _attitude(draft: Draft, speed: str) -> None:
     draft.columns.setdefault(
         "heading_rad",
         (f"{{quaternion: [{refs}], give: heading}}", Guess("heading", found["z"], "", 1.0, "attitude", "likely")),
-    )
-
-
-def _from_elevation(draft: Draft) -> None:
-    found = draft.best("elevation", 0.5)
-    if not found:
-        return
-    guess = found[0]
-    values = draft.values(guess.field, guess.unit)
-    if not np.ptp(values[np.isfinite(values)]):
-        return
-    why = f"'{guess.field}' over the way driven; averaged over 11 s"
-    draft.columns["climb_m_s"] = (
-        f"{{differentiate: {draft.ref(guess.field, 'z')}, average: 11 s}}",
-        replace(guess, sure="likely", why=f"rate of '{guess.field}'"),
-    )
-    draft.columns["slope_rad"] = (
-        '"where(abs(speed_m_s) > 0.5, arctan(climb_m_s / max(abs(speed_m_s), 0.5)), 0)"',
-        Guess("slope", guess.field, "", 0.9, why, "likely"),
     )
 
 

@@ -12,33 +12,29 @@ import numpy as np
 from missionsim.importer.roles import UNITS, Guess, words_of
 from missionsim.labels import Labels
 from missionsim.logs.raw import refreshes
-from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
 
 
+_PART = r"\b(max|min|requested|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b"
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
 
 def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
-    power = [guess for guess in draft.best("power", 0.7) if not _is_part(guess)]
+    power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
-    sources: list[str] = []
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
     elif pair is not None:
         sources = _from_pair(draft, *pair)
-    elif drivers := _drivers(draft):
-        sources = _from_drivers(draft, drivers)
-    elif energy := draft.best("energy", 0.7):
-        _from_energy(draft, energy[0])
-        sources = [energy[0].field]
     else:
+        sources = _from_drivers(draft) or _from_energy(draft)
+    if not sources:
         message = "no column looks like power, or voltage and current: write one in the place of POWER"
         gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
         if name := next((name for name in draft.fields if re.search(gauge, words_of(name)[0])), ""):
@@ -65,14 +61,6 @@ def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:
         return amps
     return replace(
         amps, unit="mA", sure="likely", why=f"{amps.why}; mA, as {large:.4g} A at {level:.3g} V would be too much"
-    )
-
-
-def _is_part(guess: Guess) -> bool:
-    words, _ = words_of(guess.field)
-    return (
-        re.search(r"\b(max|min|requested|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b", words)
-        is not None
     )
 
 
@@ -133,8 +121,8 @@ def _sign(draft: Draft, volts: Guess, amps: Guess) -> tuple[str, str]:
     return "-", "?its mean is positive, but the voltage rises with it: charged on average?"
 
 
-def _drivers(draft: Draft) -> list[tuple[str, str]]:
-    """(voltage, current) of several motor drivers, whose names differ in the side alone."""
+def _from_drivers(draft: Draft) -> list[str]:
+    """Power of several motor drivers, of the voltage and the current of each; their names differ in the side alone."""
     named: dict[str, list[str]] = {"voltage": [], "current": []}
     for name, one in draft.fields.items():
         words, unit = words_of(name)
@@ -155,33 +143,32 @@ def _drivers(draft: Draft) -> list[tuple[str, str]]:
         for side in sides
         if all(any(s in pair[0].lower() for pair in pairs) for s in sides)
     ]
-    found = [pair for group in sided[:2] for pair in group]
-    return list(dict.fromkeys(found))
-
-
-def _from_drivers(draft: Draft, drivers: list[tuple[str, str]]) -> list[str]:
-    terms = []
-    for index, (volts, amps) in enumerate(drivers):
-        terms.append(f"{draft.ref(volts, f'volts_{index}')} * {draft.ref(amps, f'amps_{index}')}")
+    drivers = list(dict.fromkeys(pair for group in sided[:2] for pair in group))
+    if not drivers:
+        return []
+    terms = [
+        f"{draft.ref(volts, f'volts_{index}')} * {draft.ref(amps, f'amps_{index}')}"
+        for index, (volts, amps) in enumerate(drivers)
+    ]
     why = "the sum of the drivers; what the battery feeds beside them is not in it"
     draft.column("power_robot_w", " + ".join(terms), Guess("power", drivers[0][0], "", 1.0, why, "likely"))
-    zero = [draft.ref(volts, "volts") for volts, _ in drivers if _dead(draft.values(volts))]
-    if zero and draft.direct:
-        draft.head["keep"] = " and ".join(f"{name} > 0" for name in zero)
+    # zero for a while: the topic was not up yet
+    levels = [(volts, draft.values(volts)) for volts, _ in drivers]
+    late = [draft.ref(name, "volts") for name, v in levels if (v == 0).any() and float(np.nanmedian(v)) > 3.0]
+    if late and draft.direct:
+        draft.head["keep"] = " and ".join(f"{name} > 0" for name in late)
     return [name for pair in drivers for name in pair]
 
 
-def _dead(volts: Array) -> bool:
-    """Whether a voltage is zero for a while: its topic was not up yet."""
-    return bool((volts == 0).any()) and float(np.nanmedian(volts)) > 3.0
-
-
-def _from_energy(draft: Draft, guess: Guess) -> None:
-    values = draft.values(guess.field)
-    falls = values[-1] < values[0]
-    why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
-    ref = draft.ref(guess.field, "energy")
-    draft.column("energy_robot_wh", f"-{ref}" if falls else ref, replace(guess, why=why))
+def _from_energy(draft: Draft) -> list[str]:
+    for guess in draft.best("energy", 0.7)[:1]:
+        values = draft.values(guess.field)
+        falls = values[-1] < values[0]
+        why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
+        ref = draft.ref(guess.field, "energy")
+        draft.column("energy_robot_wh", f"-{ref}" if falls else ref, replace(guess, why=why))
+        return [guess.field]
+    return []
 
 
 def _rows(draft: Draft, sources: list[str]) -> None:
@@ -196,19 +183,16 @@ def _rows(draft: Draft, sources: list[str]) -> None:
     known = np.isfinite(time)
     rising = np.flatnonzero(np.diff(time[known]) < 0)
     first = slice(0, int(rising[0]) + 1 if len(rising) else None)
-    slow = [name for name in sources if _repeats(draft.values(name)[known][first], time[known][first])]
+    times = time[known][first]
+    read = {name: draft.values(name)[known][first] for name in sources}
+    slow = [name for name, v in read.items() if np.isfinite(v).all() and refreshes(v, times) is not None]
     # a voltage in rough steps repeats as well; the current tells
     meters = sources[1::2] or sources
-    step = float(np.median(np.diff(time[known][first]))) if known.sum() > 2 else 1.0
+    step = float(np.median(np.diff(times))) if known.sum() > 2 else 1.0
     if set(meters) <= set(slow):
         draft.head["refresh"] = f"[{', '.join(draft.ref(name, 'meter') for name in slow)}]  # a slow topic in fast rows"
     elif 0 < step < 0.04 and "rate" not in draft.head.get("constants", ""):
         draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
-
-
-def _repeats(values: Array, time_s: Array) -> bool:
-    """Whether a column comes from a slower topic."""
-    return bool(np.isfinite(values).all()) and refreshes(values, time_s) is not None
 
 
 def name_headless(draft: Draft) -> None:
