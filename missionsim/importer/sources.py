@@ -269,18 +269,15 @@ def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str |
 def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, remarks: list[Remark]) -> None:
     """Bring the files of a run to one clock, and see that they overlap."""
     kinds = set(clocks.values())
-    spans = {
-        topic.name: (float(topic.time_s.min()), float(topic.time_s.max())) for topic in topics if len(topic.time_s)
-    }
-    dated = [topic for topic in topics if clocks[topic.name.partition(".")[0]] in ("utc", "local")]
     if kinds & {"utc", "local"} and "day" in kinds:
-        midnight = min(np.floor(topic.time_s.min() / _DAY_S) for topic in dated) * _DAY_S
+        kind = {topic.name: clocks[topic.name.partition(".")[0]] for topic in topics}
+        dated = [topic.time_s.min() for topic in topics if kind[topic.name] in ("utc", "local")]
         for topic in topics:
-            if clocks[topic.name.partition(".")[0]] == "day":
-                topic.time_s = topic.time_s + midnight
-                spans[topic.name] = (float(topic.time_s.min()), float(topic.time_s.max()))
+            if kind[topic.name] == "day":
+                topic.time_s = topic.time_s + np.floor(min(dated) / _DAY_S) * _DAY_S
         kinds.discard("day")
         remarks.append(Remark("clock", "", "a file has times of day only", "the day is that of the other file", "note"))
+    spans = {one.name: (float(one.time_s.min()), float(one.time_s.max())) for one in topics if len(one.time_s)}
     words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
     told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
     if "own" in kinds and len(kinds) > 1:

@@ -8,29 +8,22 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.importer import transform
-from missionsim.importer.roles import UNITS, Field, Guess, words_of
+from missionsim.importer.roles import UNITS, WORDS, Field, Guess, words_of
 from missionsim.importer.sources import identifier
 from missionsim.labels import Labels
+from missionsim.logs.raw import Bools
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
 
-Bools = NDArray[np.bool_]
-
 
 def suggest(draft: Draft) -> None:
     """Add the columns of motion to a draft, as far as they are seen."""
     speed = _speed(draft)
-    for role, name in (("yaw_rate", "yaw_rate_rad_s"), ("x", "x_m"), ("y", "y_m")):
-        for guess in draft.best(role, 0.5)[:1]:
-            draft.column(name, _moving(draft, guess.field, role if role != "yaw_rate" else "turn"), guess)
-    slopes = draft.best("slope", 0.5)
-    if slopes:
-        draft.column("slope_rad", draft.ref(slopes[0].field, "slope"), slopes[0])
+    _plain(draft, "yaw_rate", "x", "y", "slope")
     _attitude(draft, speed)
     for guess in draft.best("elevation", 0.5)[:1] if "slope_rad" not in draft.columns and speed else ():
         heights = draft.values(guess.field, guess.unit)
@@ -46,10 +39,23 @@ def suggest(draft: Draft) -> None:
             Guess("slope", guess.field, "", 0.9, why, "likely"),
         )
     if "heading_rad" not in draft.columns:
-        for guess in draft.best("heading", 0.5)[:1]:
-            draft.column("heading_rad", draft.ref(guess.field, "heading"), guess)
+        _plain(draft, "heading")
     if not speed:
         draft.remarks.append("no speed was found: only what stands still can be explained without one")
+
+
+_COLUMN = {role: name for name, role in WORDS["columns"].items()}
+"""Role → column of the log."""
+
+
+def _plain(draft: Draft, *roles: str) -> None:
+    """Columns that are a field as it stands."""
+    for role in roles:
+        for guess in draft.best(role, 0.5)[:1]:
+            alias = "turn" if role == "yaw_rate" else role
+            moves = role in ("yaw_rate", "x", "y")
+            ref = _moving(draft, guess.field, alias) if moves else draft.ref(guess.field, alias)
+            draft.column(_COLUMN[role], ref, guess)
 
 
 def _moving(draft: Draft, name: str, alias: str) -> str:
@@ -229,13 +235,7 @@ def _attitude(draft: Draft, speed: str) -> None:
 
 def suggest_others(draft: Draft) -> None:
     """Temperatures, load, floor, and what else a model may depend on."""
-    names = {
-        "temp_ambient": "temp_ambient_c", "temp_motor": "temp_motor_c", "payload": "payload_kg", "cpu_load": "cpu_load",
-        "cpu_freq": "cpu_freq_hz", "surface": "surface", "scheme": "scheme",
-    }  # fmt: skip
-    for role, name in names.items():
-        for guess in draft.best(role, 0.5)[:1]:
-            draft.column(name, draft.ref(guess.field, role), guess)
+    _plain(draft, "temp_ambient", "temp_motor", "payload", "cpu_load", "cpu_freq", "surface", "scheme")
     weight = next((name for name in draft.fields if name.endswith("loads[0].weight")), None)
     if weight is not None:
         count = draft.ref(weight.replace("[0].weight", ".count"), "loads")

@@ -158,14 +158,6 @@ class LongRun:
         """What a battery delivered [Wh]."""
         return self.energies[battery]
 
-    def add(self, block: Run) -> None:
-        """Count one more block."""
-        self.rows += block.rows
-        self.duration_s += block.duration_s
-        for battery in block.batteries:
-            self.energies[battery] = self.energies.get(battery, 0.0) + block.energy_wh(battery)
-        self.remarks = tuple(merge([*self.remarks, *block.remarks]))
-
 
 def write_blocks(blocks: Iterable[Run], path: Path, metadata: Callable[[Run], Mapping[str, str]]) -> LongRun:
     """Write blocks of one run as a Parquet file, whole or not at all; ValueError where their columns differ."""
@@ -182,7 +174,11 @@ def write_blocks(blocks: Iterable[Run], path: Path, metadata: Callable[[Run], Ma
     ):
         for block in itertools.chain([first], each):
             writer.write_table(_table(block, told))
-            long.add(block)
+            long.rows += block.rows
+            long.duration_s += block.duration_s
+            for battery in block.batteries:
+                long.energies[battery] = long.energies.get(battery, 0.0) + block.energy_wh(battery)
+            long.remarks = tuple(merge([*long.remarks, *block.remarks]))
     return long
 
 

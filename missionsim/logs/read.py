@@ -127,14 +127,8 @@ def distinct_logs(paths: Iterable[PathLike] | PathLike) -> dict[Path, list[Path]
     # only files of one size can be the same, so most are never hashed
     alike = [p for size, same in sizes.items() if size > 0 and len(same) > 1 for p in same]
     content = {p: sha256(p) for p in alike if os.access(p, os.R_OK)}
-    first: dict[str, Path] = {}
-    found: dict[Path, list[Path]] = {}
-    for path in files:
-        kept = first.setdefault(content.get(path, str(path)), path)
-        found.setdefault(kept, [])
-        if kept is not path:
-            found[kept].append(path)
-    return found
+    groups = grouped(list(files), lambda path: content.get(path, str(path)))
+    return {same[0]: same[1:] for same in groups.values()}
 
 
 def same_content(twins: Sequence[Path]) -> Remark:

@@ -81,15 +81,6 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
     return None
 
 
-def named_in_comment(line: str, delimiter: str, count: int) -> tuple[str, ...]:
-    """Names of the columns in the comment above the rows (``# t[s] v[m/s]``); empty where there are none."""
-    text = line.strip().lstrip("#").strip()
-    for cells in (cells_of(text, delimiter), text.split()):
-        if len(cells) == count and not any(map(is_number, cells)) and all(cells):
-            return tuple(cells)
-    return ()
-
-
 _HEAD_BYTES = 65536
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 _ENCODINGS = {"utf-16": "UTF-16", "utf-16-le": "UTF-16 (without its mark)", "utf-16-be": "UTF-16 (without its mark)"}
@@ -127,9 +118,8 @@ def sniff(
 ) -> Dialect:
     """Read the start of a text table and find out how it is written.
 
-    `header`: names of the columns of a file that has no header
-    line; `delimiter`, `encoding`: where they are known; `typed`: whether the file has to be a log: a header, and names
-    of the glossary once. Raises InputError: empty, binary, without a header, or with a header that names a column of
+    `header`: names of the columns of a file that has no header line; `delimiter`, `encoding`: where they are known;
+    `typed`: whether the file has to be a log: a header, and names of the glossary once. Raises InputError: empty, binary, without a header, or with a header that names a column of
     the glossary twice.
     """
     file = str(path)
@@ -168,8 +158,11 @@ def sniff(
         )
         note("a line of units stands under the names", "each unit was written behind its name", skipped + 2)
     headless = not header and all(is_number(name) or not name for name in names)
-    if headless and skipped and not typed and (told := named_in_comment(lines[skipped - 1], delimiter, len(names))):
-        names, headless, rows = told, False, skipped
+    if headless and skipped and not typed:  # the names may stand in the comment above the rows (``# t[s] v[m/s]``)
+        told = lines[skipped - 1].strip().lstrip("#").strip()
+        for words in (cells_of(told, delimiter), told.split()):
+            if headless and len(words) == len(names) and all(words) and not any(map(is_number, words)):
+                names, headless, rows = tuple(words), False, skipped
     if headless and typed:
         allowed = "a header line such as time_s,power_robot_w,speed_m_s"
         message = "the first line holds numbers, not column names"
@@ -234,8 +227,7 @@ def _once(
     names: tuple[str, ...], line: str, delimiter: str, file: str, number: int, typed: bool, remarks: list[Remark]
 ) -> tuple[str, ...]:
     """Each name once: names that stand twice are numbered, columns without a name called by their position."""
-    count = collections.Counter(name for name in names if name)
-    twice = {name for name in count if count[name] > 1}
+    twice = {name for name, count in collections.Counter(names).items() if name and count > 1}
     told = "the column '{}' stands twice in the header"
     if faults := [
         Fault(file, number, field_position(line, delimiter, index), told.format(name), path=name)
@@ -250,12 +242,10 @@ def _once(
     if "" in names:
         message, action = "a column has no name", "it was called unnamed_<position>"
         remarks.append(Remark("format", "", message, action, "note", number))
-    seen: collections.Counter[str] = collections.Counter()
-    result = []
-    for index, name in enumerate(names):
-        seen[name] += 1
-        result.append(f"unnamed_{index}" if not name else f"{name} #{seen[name]}" if name in twice else name)
-    return tuple(result)
+    return tuple(
+        f"unnamed_{index}" if not name else f"{name} #{names[: index + 1].count(name)}" if name in twice else name
+        for index, name in enumerate(names)
+    )
 
 
 def _delimiter(header: str, body: list[str]) -> str:
@@ -265,9 +255,8 @@ def _delimiter(header: str, body: list[str]) -> str:
         return ";"  # decimal commas, or commas within names
     if counts[best]:
         return best
-    return (
-        " " if " " in header.strip() and all(len(line.split(" ")) == len(header.split(" ")) for line in body) else ","
-    )
+    blanks = header.count(" ")
+    return " " if " " in header.strip() and all(line.count(" ") == blanks for line in body) else ","
 
 
 def _decimal(body: list[str], delimiter: str) -> str:
