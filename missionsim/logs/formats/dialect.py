@@ -119,8 +119,8 @@ def sniff(
     """Read the start of a text table and find out how it is written.
 
     `header`: names of the columns of a file that has no header line; `delimiter`, `encoding`: where they are known;
-    `typed`: whether the file has to be a log: a header, and names of the glossary once. Raises InputError: empty, binary, without a header, or with a header that names a column of
-    the glossary twice.
+    `typed`: whether the file has to be a log: a header, and names of the glossary once. Raises InputError: empty,
+    binary, without a header, or with a header that names a column of the glossary twice.
     """
     file = str(path)
     with open(path, "rb") as handle:
