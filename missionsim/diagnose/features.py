@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates
 from missionsim.effects.library import FLOORS, all_effects, execution_effects, floors_effect, logged_power_columns
 from missionsim.effects.model import ModelParameter, PowerModel
-from missionsim.fit.prepare import Prepared, never_on, prepare
+from missionsim.fit.prepare import never_on, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import (
     SLOW_ROWS_S,
@@ -71,57 +72,86 @@ class Features:
 
 
 def make_features(
-    model: PowerModel,
-    logs: Sequence[Run],
-    battery: str,
-    own: Sequence[Effect] = (),
-    *,
-    switchable: Sequence[str] = (),
-    skip: Sequence[str] = (),
+    model: PowerModel, logs: Sequence[Run], battery: str, own: Sequence[Effect] = (), *, switchable: Sequence[str] = ()
 ) -> Features:
     """Evaluate base model, its gradient and every effect of the library that the logs allow.
 
     `model`: the robot, effects already found included. `logs`: one a run; those that do not measure `battery` are left
     out. `own`: the user's own candidates beside the library. `switchable`: components of the robot that can be
-    switched. `skip`: ids of effects that the robot file already holds on this battery. Raises InputError: where the
-    base model needs a column that the logs lack, or no log measures the battery.
+    switched. Raises InputError: where the base model needs a column that the logs lack, or no log measures the battery.
     """
     ready = prepare(model, logs, battery)
     surfaces = ready.texts.get("surface", ())
     names, covariates = {*ready.names, "load_w", "drive_w"}, ready.covariates
-    components = _components(names, switchable)
-    held = {*skip, *_held(model, battery)}
-    if _steady(f"voltage_{battery}_v", names, covariates):
-        held.add("battery_resistance")  # the same as conversion_loss there
-    if not {term.effect.id for term in model.of(battery)} & {"turning_scrub", "skid"}:
+    # components to test, and whether their switch is logged
+    components = dict.fromkeys(switchable, False) | dict.fromkeys(sorted(n[3:] for n in names if is_switch(n)), True)
+    there = {term.effect.id for term in model.of(battery)}
+    held = {term.effect.id for term in model.of(battery) if not term.base}
+    held |= {family for id in held if (family := id.partition(":")[0]) in FLOORS}
+    if (column := f"voltage_{battery}_v") in names:
+        volts = np.concatenate([np.asarray(cov[column], dtype=float) for cov in covariates])
+        if float(np.std(volts)) < STEADY * abs(float(np.mean(volts))):
+            held.add("battery_resistance")  # the same as conversion_loss there
+    if not there & {"turning_scrub", "skid"}:
         # an interaction enters after its main effect (Nelder 1977, marginality): any load that goes with turning is
         # louder on one floor than on another
         held.add("surface_turning_scrub")
-    watts = _loads(names, model.batteries, covariates, ready)
-    ready.remarks.extend(remarks_on(covariates))
-    library = all_effects(tuple(components), surfaces if 1 < len(surfaces) <= MOST_SURFACES else (), watts, battery)
-    effects, untestable = _testable(names, surfaces, (*library, *own), held, ready.remarks)
+    measured_w, remarks, watts = ready.measured_w(), ready.remarks, []
+    for name in logged_power_columns(names, model.batteries):
+        own_w = np.concatenate([np.asarray(cov[name], dtype=float) for cov in covariates])
+        both = np.isfinite(own_w) & np.isfinite(measured_w)
+        if not np.ptp(own_w[both]) > 0.0:
+            continue
+        if np.ptp(measured_w[both]) > 0.0 and abs(np.corrcoef(own_w[both], measured_w[both])[0, 1]) > SAME_METER:
+            remarks.append(f"{name} follows the measured power: that power once more, not a load beside it")
+        else:
+            watts.append(name)
+    remarks += remarks_on(covariates)
+    if len(surfaces) > MOST_SURFACES:
+        remarks.append(f"{len(surfaces)} different surfaces, more than {MOST_SURFACES}: what they add is not tested")
+        held |= {*FLOORS}
+    if len(surfaces) == 1:
+        remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
+    floors = surfaces if 1 < len(surfaces) <= MOST_SURFACES else ()
+    untestable: dict[str, tuple[str, ...]] = {}
+    effects: dict[str, Effect] = {}
+    for effect in (*all_effects(tuple(components), floors, tuple(watts), battery), *own):
+        if effect.id in held or effect.execution:
+            continue
+        lacking = tuple(dict.fromkeys(logged_name(name) for name in effect.needs if name not in names))
+        if lacking:
+            untestable[effect.id] = lacking
+        else:
+            effects[effect.id] = effect
+    for id in FLOORS:
+        if not surfaces and id not in held:
+            untestable[id] = tuple(name for name in floors_effect(id, ()).needs if name not in names)
+    for effect in execution_effects():
+        untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
     steady: dict[str, float] = {}
     if ready.unknown_w:
-        steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), _level(ready.gradients))
-        if not steady:
-            held.add("standby_load")
+        # of the base parameters that are a constant power wherever they act
+        whole = {name: np.concatenate([own[name] for own in ready.gradients]) for name in ready.gradients[0]}
+        acting = {name: values[values != 0.0] for name, values in whole.items()}
+        level = [n for n, w in acting.items() if len(w) and np.ptp(w) <= 1e-9 * np.max(np.abs(w))]
+        steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), level, ready.gradients)
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
-    charged = float(np.mean(ready.measured_w() < 0.0))
+    charged = float(np.mean(measured_w < 0.0))
     candidates: list[Candidate] = []
     unlogged = tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w
     off = never_on(model, ready)
     for effect in effects.values():
-        candidate = _add_columns(effect, covariates, columns, charged)
+        candidate = _candidate(effect, covariates, charged)
+        for cov, held_w in zip(covariates, columns, strict=True):
+            held_w |= effect_columns(effects, [candidate], cov)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
             candidate = replace(candidate, covariate=logged_name(candidate.covariate))
         if not effect.drive:
             candidate = replace(candidate, unlogged=unlogged, never_on=off)
         candidates.append(_with_twin(candidate, columns, ready.gradients))
-    data = ready.data(columns)
     return Features(
         battery,
-        data,
+        ready.data(columns),
         tuple(candidates),
         {name: p.prior_sd for name, p in ready.parameters.items()},
         ready.parameters,
@@ -196,61 +226,24 @@ def at_size(features: Features, sizes: Mapping[str, float]) -> Features:
     return replace(features, runs=tuple(runs))
 
 
-def _held(model: PowerModel, battery: str) -> set[str]:
-    held = {term.effect.id for term in model.of(battery) if not term.base}
-    return held | {family for id in held if (family := id.partition(":")[0]) in FLOORS}
-
-
-def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
-    """Components to test and whether their ``on_`` column is logged."""
-    logged = sorted(name[3:] for name in names if is_switch(name))
-    return {**dict.fromkeys(switchable, False), **dict.fromkeys(logged, True)}
-
-
-def _testable(
-    names: set[str], surfaces: tuple[str, ...], library: Sequence[Effect], skip: set[str], remarks: list[str]
-) -> tuple[dict[str, Effect], dict[str, tuple[str, ...]]]:
-    untestable: dict[str, tuple[str, ...]] = {}
-    effects: dict[str, Effect] = {}
-    if len(surfaces) > MOST_SURFACES:
-        remarks.append(f"{len(surfaces)} different surfaces, more than {MOST_SURFACES}: what they add is not tested")
-        skip = skip | {*FLOORS}
-    if len(surfaces) == 1:
-        remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
-    for effect in library:
-        if effect.id in skip or effect.execution:
-            continue
-        lacking = tuple(dict.fromkeys(logged_name(name) for name in effect.needs if name not in names))
-        if lacking:
-            untestable[effect.id] = lacking
-        else:
-            effects[effect.id] = effect
-    for id in FLOORS:
-        if not surfaces and id not in skip:
-            untestable[id] = tuple(name for name in floors_effect(id, ()).needs if name not in names)
-    for effect in execution_effects():
-        untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
-    return effects, untestable
-
-
-def _add_columns(
-    effect: Effect, runs: Sequence[Covariates], columns: list[dict[str, Array]], charged: float
-) -> Candidate:
-    """Evaluate an effect on every run; a grid of shape values or of surfaces gives one column each."""
-    shape: tuple[dict[str, float], ...] = ()
-    levels: tuple[str, ...] = ()
-    grid = _grid(effect, runs, charged)
-    if effect.parts:
-        levels = tuple(part.removeprefix("k_") for part in effect.parts)
-        names = tuple(f"{effect.id}|{level}" for level in levels)
-    elif grid:
-        shape = tuple(grid)
-        names = tuple(f"{effect.id}|{i}" for i in range(len(shape)))
-    else:
-        names = (effect.id,)
-    for cov, held in zip(runs, columns, strict=True):
-        for i, name in enumerate(names):
-            held[name] = _column(effect, cov, shape[i] if shape else {}, levels[i] if levels else "")
+def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float) -> Candidate:
+    """An effect as the identification tests it; a grid of shape values or of surfaces gives one column each."""
+    levels = tuple(part.removeprefix("k_") for part in effect.parts or ())
+    free = [spec for spec in effect.shape if spec.grid or not spec.optional]
+    # the share that an effect gives back is asked of the data only where the robot file leaves it to them; a descent
+    # first saves what the drive needs, and where the battery is never charged there is no more to tell
+    decided = any(float(cov.get("regeneration", 0.0)) > 0.0 for cov in runs)
+    if decided or not (effect.one_sided or charged >= CHARGED):
+        free = [spec for spec in free if spec.name != effect.back]
+    axes = []
+    for spec in free:
+        axis = spec.grid or (float(spec.default) if np.isfinite(spec.default) else 1.0,)
+        if not spec.grid and np.isfinite(spec.low) and np.isfinite(spec.high):
+            spread = np.geomspace if spec.low > 0.0 and spec.high / spec.low > 10.0 else np.linspace
+            axis = tuple(float(x) for x in spread(spec.low, spec.high, 5)[1:-1])
+        axes.append(axis)
+    names = [spec.name for spec in free]
+    shape = tuple(dict(zip(names, values, strict=True)) for values in product(*axes)) if free and not levels else ()
     refit: Callable[[Mapping[str, float]], list[Array]] | None = None
     if shape:
 
@@ -259,7 +252,7 @@ def _add_columns(
 
     return Candidate(
         effect.id,
-        names,
+        tuple(f"{effect.id}|{end}" for end in levels or range(len(shape))) or (effect.id,),
         effect.sign,
         effect.coefficient.unit,
         "k" if levels else effect.coefficient.name,
@@ -273,55 +266,6 @@ def _add_columns(
         plausible=effect.coefficient.plausible if not effect.recovers or "body_mass_kg" in runs[0] else math.inf,
         shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape and spec.name in shape[0]},
     )
-
-
-def _grid(effect: Effect, runs: Sequence[Covariates], charged: float) -> list[dict[str, float]]:
-    """All combinations of the grids of an effect's shape parameters that these runs can tell."""
-    from itertools import product
-
-    asked = [spec for spec in effect.shape if spec.grid or not spec.optional]
-    free = [spec for spec in asked if spec.name != effect.back or _tells_back(effect, runs, charged)]
-    axes = [spec.grid or _default_grid(spec.low, spec.high, spec.default) for spec in free]
-    return [dict(zip((spec.name for spec in free), values, strict=True)) for values in product(*axes)] if free else []
-
-
-def _tells_back(effect: Effect, runs: Sequence[Covariates], charged: float) -> bool:
-    """Whether the share that an effect gives back is asked of the data: only where the robot file leaves it to them.
-
-    A descent first saves what the drive needs; where the battery is never charged there is no more to tell.
-    """
-    decided = any(float(cov.get("regeneration", 0.0)) > 0.0 for cov in runs)
-    return not decided and (effect.one_sided or charged >= CHARGED)
-
-
-def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
-    if np.isfinite(low) and np.isfinite(high):
-        if low > 0.0 and high / low > 10.0:
-            return tuple(float(x) for x in np.geomspace(low, high, 5)[1:-1])
-        return tuple(float(x) for x in np.linspace(low, high, 5)[1:-1])
-    return (default if np.isfinite(default) else 1.0,)
-
-
-def _steady(column: str, names: set[str], runs: Sequence[Covariates]) -> bool:
-    """Whether a column hardly changes over all runs."""
-    values = np.concatenate([np.asarray(cov[column], dtype=float) for cov in runs]) if column in names else None
-    return values is not None and float(np.std(values)) < STEADY * abs(float(np.mean(values)))
-
-
-def _loads(names: set[str], batteries: Sequence[str], runs: Sequence[Covariates], ready: Prepared) -> tuple[str, ...]:
-    """Columns of watts that may be loads of the battery, without those that are its own power under another name."""
-    found = []
-    measured = ready.measured_w()
-    for name in logged_power_columns(names, batteries):
-        own = np.concatenate([np.asarray(cov[name], dtype=float) for cov in runs])
-        both = np.isfinite(own) & np.isfinite(measured)
-        if not np.ptp(own[both]) > 0.0:
-            continue
-        if np.ptp(measured[both]) > 0.0 and abs(np.corrcoef(own[both], measured[both])[0, 1]) > SAME_METER:
-            ready.remarks.append(f"{name} follows the measured power: that power once more, not a load beside it")
-            continue
-        found.append(name)
-    return tuple(found)
 
 
 def _column(effect: Effect, cov: Covariates, shape: Mapping[str, float], level: str = "", size: float = 1.0) -> Array:
@@ -347,30 +291,17 @@ def _with_twin(
     # a component that was never switched looks like the base: each effect is first held against its own kind
     kin = [n for n in names if (n.startswith(own) if len(own) > 1 else "." not in n)]
     for group in (kin, names):
-        twin = _imitator(y, group, gradients)
-        if twin is not None:
-            return replace(candidate, prior=twin, sign=0)
+        # of an exact imitation the parameter that takes the largest part
+        shares = _shares_of(y, group, gradients)
+        parts = {n: abs(s) * float(sum(own[n] @ own[n] for own in gradients)) ** 0.5 for n, s in shares.items()}
+        if parts:
+            return replace(candidate, prior=max(parts, key=parts.__getitem__), sign=0)
     return candidate
 
 
-def _imitator(y: Array, names: Sequence[str], gradients: Sequence[Mapping[str, Array]]) -> str | None:
-    """The base parameter that takes the largest part in an exact imitation of a column; None where none is exact."""
-    shares = _shares_of(y, [{name: own[name] for name in names} for own in gradients])
-    size = {name: float(sum(own[name] @ own[name] for own in gradients)) ** 0.5 for name in shares}
-    return max(shares, key=lambda name: abs(shares[name]) * size[name], default=None)
-
-
-def _level(gradients: Sequence[Mapping[str, Array]]) -> list[dict[str, Array]]:
-    """Gradients of the parameters that are a constant power wherever they act."""
-    whole = {name: np.concatenate([own[name] for own in gradients]) for name in gradients[0]}
-    acting = {name: values[values != 0.0] for name, values in whole.items()}
-    kept = [name for name, values in acting.items() if len(values) and np.ptp(values) <= 1e-9 * np.max(np.abs(values))]
-    return [{name: own[name] for name in kept} for own in gradients]
-
-
-def _shares_of(y: Array, gradients: Sequence[Mapping[str, Array]]) -> dict[str, float]:
+def _shares_of(y: Array, names: Sequence[str], gradients: Sequence[Mapping[str, Array]]) -> dict[str, float]:
     """Relative changes of base parameters that together imitate a column exactly; none where nothing does."""
-    names = [name for name in gradients[0] if any(np.any(own[name]) for own in gradients)]
+    names = [name for name in names if any(np.any(own[name]) for own in gradients)]
     if not names or not np.any(y):
         return {}
     x = np.column_stack([np.concatenate([own[name] for own in gradients]) for name in names])

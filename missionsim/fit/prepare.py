@@ -75,26 +75,24 @@ class Prepared:
 
     def data(self, columns: Sequence[Mapping[str, Array]] | None = None) -> tuple[RunData, ...]:
         """The runs as the identification reads them, with candidate columns where given."""
-        own: Sequence[Mapping[str, Array]] = columns if columns is not None else [{} for _ in self.runs]
-        return tuple(self._one(i, own[i]) for i in range(len(self.runs)))
-
-    def _one(self, number: int, columns: Mapping[str, Array]) -> RunData:
-        driven, base_w, slopes = self.runs[number], self.base_w[number], self.gradients[number]
-        run = driven.run
-        broken = ~np.isfinite(base_w)
-        for values in slopes.values():
-            broken |= ~np.isfinite(values)
-        measured = run.power_w[self.battery]
-        if broken.any():
-            self.remarks.append(
-                f"{run.run}: the base model has no value in {int(broken.sum())} rows; they are left out"
-            )
-            measured = np.where(broken, np.nan, measured)
-            base_w = np.where(broken, 0.0, base_w)
-            slopes = {name: np.where(broken, 0.0, values) for name, values in slopes.items()}
-        watched = _watched(driven, self.names, self.texts)
-        fresh = run.fresh.get(self.battery)
-        return RunData(run.run, run.time_s, run.dt_s, measured, base_w, slopes, columns, watched, fresh=fresh)
+        found = []
+        for i, (driven, base_w, slopes) in enumerate(zip(self.runs, self.base_w, self.gradients, strict=True)):
+            run = driven.run
+            broken = ~np.isfinite(base_w)
+            for values in slopes.values():
+                broken |= ~np.isfinite(values)
+            measured = run.power_w[self.battery]
+            if broken.any():
+                told = f"the base model has no value in {int(broken.sum())} rows; they are left out"
+                self.remarks.append(f"{run.run}: {told}")
+                measured = np.where(broken, np.nan, measured)
+                base_w = np.where(broken, 0.0, base_w)
+                slopes = {name: np.where(broken, 0.0, values) for name, values in slopes.items()}
+            own = {} if columns is None else columns[i]
+            watched, fresh = _watched(driven, self.names, self.texts), run.fresh.get(self.battery)
+            one = RunData(run.run, run.time_s, run.dt_s, measured, base_w, slopes, own, watched, fresh=fresh)
+            found.append(one)
+        return tuple(found)
 
 
 def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
@@ -118,17 +116,32 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
     remarks += [note if len(of) == len(tables) else f"{_named(of)}: {note}" for note, of in told.items()]
     gradients = _gradients(runs, battery)
     names = _shared_names(runs, remarks)
-    unknown, unknown_w = _unknown(model, runs, battery, remarks)
+    texts: dict[str, tuple[str, ...]] = {}
+    for name in sorted(names):
+        values = [run.covariates[name] for run in runs]
+        if all(isinstance(value, Labels) for value in values):
+            used = {value.names[int(code)] for value in values for code in np.unique(value.codes) if code >= 0}
+            texts[name] = tuple(sorted(used))
+    unknown = _switched_w(model, battery, set().union(*(run.unknown for run in runs)))
+    unknown_w = sum(unknown.values())
+    measured_w = np.concatenate([run.run.power_w[battery] for run in runs])
+    if unknown_w < FAINT_LOAD * abs(float(np.nanmean(measured_w))):
+        unknown, unknown_w = {}, 0.0
+    elif unknown:
+        remarks.append(
+            f"nothing tells when {', '.join(unknown)} ({unknown_w:.3g} W) was on: what a load of that size imitates "
+            "is not named with confidence; log its on_<component> column, or the control scheme"
+        )
     return Prepared(
         battery,
         tuple(runs),
         frozenset(names),
-        _texts(runs, names),
+        texts,
         tuple(np.ascontiguousarray(run.row_w(battery)) for run in runs),
         tuple(gradients),
         model.parameters_of(battery),
         remarks,
-        unknown=unknown,
+        unknown=tuple(unknown),
         unknown_w=unknown_w,
     )
 
@@ -151,36 +164,17 @@ def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
             {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
             for run, slopes in zip(runs, gradients, strict=True)
         ]
-    whole = {name: _joined([run.covariates[name] for run in runs], runs) for name in first.covariates}
+    whole: dict[str, Any] = {}
+    for name in first.covariates:
+        values = [run.covariates[name] for run in runs]
+        if kinds[name]:
+            whole[name] = Labels.joined(values)
+        else:
+            rows = zip(values, runs, strict=True)
+            whole[name] = np.concatenate([np.broadcast_to(np.asarray(v), run.time_s.shape) for v, run in rows])
     ends = np.cumsum([len(run.time_s) for run in runs])[:-1]
     split = {name: np.split(slope, ends) for name, slope in first.model.gradient(whole, battery).items()}
     return [{name: parts[i] for name, parts in split.items()} for i in range(len(runs))]
-
-
-def _joined(values: Sequence[Any], runs: Sequence[Driven]) -> Any:
-    labels = [value for value in values if isinstance(value, Labels)]
-    if len(labels) == len(values):
-        return Labels.joined(labels)
-    return np.concatenate(
-        [np.broadcast_to(np.asarray(v), run.time_s.shape) for v, run in zip(values, runs, strict=True)]
-    )
-
-
-def _unknown(
-    model: PowerModel, runs: Sequence[Driven], battery: str, remarks: list[str]
-) -> tuple[tuple[str, ...], float]:
-    """The components whose switching neither logs nor schemes tell, and their power together [W]."""
-    power = _switched_w(model, battery, set().union(*(run.unknown for run in runs)))
-    watts = sum(power.values())
-    measured = np.concatenate([run.run.power_w[battery] for run in runs])
-    if watts < FAINT_LOAD * abs(float(np.nanmean(measured))):
-        return (), 0.0
-    if power:
-        remarks.append(
-            f"nothing tells when {', '.join(power)} ({watts:.3g} W) was on: what a load of that size imitates is not "
-            "named with confidence; log its on_<component> column, or the control scheme"
-        )
-    return tuple(power), watts
 
 
 def _switched_w(model: PowerModel, battery: str, switches: set[str]) -> dict[str, float]:
@@ -228,17 +222,6 @@ def _shared_names(runs: Sequence[Driven], remarks: list[str]) -> set[str]:
             remarks.append(
                 f"{name} is not logged in {_named([r.run.run for r in lacking])}: effects that need it are not tested"
             )
-    return found
-
-
-def _texts(runs: Sequence[Driven], names: set[str]) -> dict[str, tuple[str, ...]]:
-    """The distinct texts of each text column over all runs, in order of the alphabet."""
-    found: dict[str, tuple[str, ...]] = {}
-    for name in sorted(names):
-        values = [run.covariates[name] for run in runs]
-        if all(isinstance(value, Labels) for value in values):
-            used = {value.names[int(code)] for value in values for code in np.unique(value.codes) if code >= 0}
-            found[name] = tuple(sorted(used))
     return found
 
 
