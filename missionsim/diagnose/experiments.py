@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 
@@ -19,6 +20,18 @@ from missionsim.identify.gram import Gram, make_gram, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.settings import BETTER_NATS, DECIDED_NATS, ENOUGH_NATS, LENGTHS, MOST_PROPOSED, Settings
 from missionsim.runs.run import Run
+
+_SHOWS = {
+    "yaw_rate_rad_s": ("spin", "straight and curved"),
+    "speed_m_s": ("speed sweep",),
+    "accel_m_s2": ("stop and go",),
+    "slope_rad": ("ramp",),
+    "payload_kg": ("payload on and off",),
+    "temp_ambient_c": ("cold and warm",),
+    "time_s": ("everything off",),
+    "cpu_load": ("processor stress",),
+}
+"""Manoeuvres that vary a covariate on which the rest depends, for a structure that no effect explains."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +97,10 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
         if "run" in on:
             do = "note what differed between these runs (floor, tyres, load, weather), and log it as a column"
             proposed.append(Experiment(on, do, nan, nan, nan, 0.0))
-        proposed += [
-            Experiment(
-                on, f"{m.do}, {form}", nan, nan, nan, m.duration_s / 60.0, tuple(part.to_json() for part in m.parts)
-            )
-            for m in to_learn(bench.site, on)[:2]
-        ]
+        names = [name for covariate in on for name in _SHOWS.get(covariate, ())]
+        for one in [m for m in library(bench.site) if m.name in names][:2]:
+            parts = tuple(part.to_json() for part in one.parts)
+            proposed.append(Experiment(on, f"{one.do}, {form}", nan, nan, nan, one.duration_s / 60.0, parts))
     return tuple(proposed)
 
 
@@ -115,22 +126,17 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
     for lead, manoeuvre in scored[:MOST_PROPOSED]:
         if lead < now + BETTER_NATS:
             continue
-        found.append(_experiment(bench, constraints, names, now, lead, manoeuvre))
+        chosen, times = manoeuvre, 1
+        for times in LENGTHS:
+            if times > 1:
+                chosen = shortened(manoeuvre, float(times))
+                lead = worst_lead(bench, constraints, bench.imagined(chosen), names)
+            if lead >= ENOUGH_NATS:
+                break
+        do = manoeuvre.do if times == 1 else f"{manoeuvre.do}; {times} times as long"
+        parts = tuple(part.to_json() for part in chosen.parts)
+        found.append(Experiment(tuple(names), do, power_of(lead), now, lead, chosen.duration_s / 60.0, parts))
     return found
-
-
-def _experiment(
-    bench: Bench, constraints: Constraints, names: Sequence[str], now: float, lead: float, manoeuvre: Manoeuvre
-) -> Experiment:
-    chosen, times = manoeuvre, 1
-    for times in LENGTHS:
-        chosen = manoeuvre if times == 1 else shortened(manoeuvre, float(times))
-        lead = lead if times == 1 else worst_lead(bench, constraints, bench.imagined(chosen), names)
-        if lead >= ENOUGH_NATS:
-            break
-    do = manoeuvre.do if times == 1 else f"{manoeuvre.do}; {times} times as long"
-    minutes = chosen.duration_s / 60.0
-    return Experiment(tuple(names), do, power_of(lead), now, lead, minutes, tuple(p.to_json() for p in chosen.parts))
 
 
 def power_of(lead_nats: float) -> float:
@@ -147,9 +153,23 @@ def power_of(lead_nats: float) -> float:
 
 def worst_lead(bench: Bench, constraints: Constraints, gram: Gram, names: Sequence[str]) -> float:
     """Smallest expected lead of one effect of a set over the best imitation by another [nats]."""
-    every = {column for name in names for column in _columns(bench, name)}
-    rest = [k for k in bench.model.chosen if k not in every]
-    leads = [_lead(bench, constraints, gram, rest, a, b) for a in names for b in names if a != b]
+    now, own = bench.model.gram, {name: _columns(bench, name) for name in names}
+    rest = [k for k in bench.model.chosen if not any(k in columns for columns in own.values())]
+    gains, left = single_gains(now, constraints, rest), gram.conditional(rest)
+    leads = []
+    for one, other in permutations(names, 2):
+        k = max(own[one], key=gains.__getitem__)
+        value = float(now.coefficients([*rest, k])[0][-1])
+        size = float(left[1 + k, 1 + k])
+        alike = 0.0
+        for j in own[other]:
+            of_other = float(left[1 + j, 1 + j])
+            if of_other <= 1e-9 * float(gram.full[1 + j, 1 + j]):
+                continue
+            r = float(left[1 + k, 1 + j]) / np.sqrt(size * of_other)
+            if constraints.sign[j] * r * value >= 0.0:
+                alike = max(alike, min(1.0, r * r))
+        leads.append(0.5 * value**2 * size * (1.0 - alike))
     return min(leads, default=0.0)
 
 
@@ -158,37 +178,3 @@ def _columns(bench: Bench, effect: str) -> list[int]:
     return [
         k for k, column in enumerate(bench.model.design.layout.columns) if candidates[column.candidate].effect == effect
     ]
-
-
-def _lead(bench: Bench, constraints: Constraints, gram: Gram, rest: Sequence[int], a: str, b: str) -> float:
-    now = bench.model.gram
-    gains = single_gains(now, constraints, rest)
-    own = max(_columns(bench, a), key=lambda k: gains[k])
-    value = float(now.coefficients([*rest, own])[0][-1])
-    left = gram.conditional(rest)
-    own_size = float(left[1 + own, 1 + own])
-    best = 0.0
-    for k in _columns(bench, b):
-        size = float(left[1 + k, 1 + k])
-        if size <= 1e-9 * float(gram.full[1 + k, 1 + k]):
-            continue
-        r = float(left[1 + own, 1 + k]) / np.sqrt(own_size * size)
-        if constraints.sign[k] * r * value >= 0.0:
-            best = max(best, min(1.0, r * r))
-    return 0.5 * value**2 * own_size * (1.0 - best)
-
-
-def to_learn(site: Site, covariates: Sequence[str]) -> list[Manoeuvre]:
-    """Manoeuvres that vary a covariate on which the rest depends, for a structure that no effect explains."""
-    wanted = {
-        "yaw_rate_rad_s": ("spin", "straight and curved"),
-        "speed_m_s": ("speed sweep",),
-        "accel_m_s2": ("stop and go",),
-        "slope_rad": ("ramp",),
-        "payload_kg": ("payload on and off",),
-        "temp_ambient_c": ("cold and warm",),
-        "time_s": ("everything off",),
-        "cpu_load": ("processor stress",),
-    }
-    names = [name for covariate in covariates for name in wanted.get(covariate, ())]
-    return [m for m in library(site) if m.name in names]

@@ -11,7 +11,6 @@ import numpy as np
 from missionsim.effects.covariates import Covariates
 from missionsim.files import Json
 from missionsim.labels import Labels
-from missionsim.physics import Array
 from missionsim.runs.motion import approach
 
 STEP_S = 0.5
@@ -138,118 +137,84 @@ def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float]) -> Si
 
 def library(site: Site) -> list[Manoeuvre]:
     """Every manoeuvre that the place and the columns of the logs allow."""
-    v, top, spin = site.cruise_m_s, site.max_speed_m_s, site.max_yaw_rate_rad_s
-    plain: dict[str, Any] = {"payload_kg": 0.0} if "payload_kg" in site.usual else {}
-    without = " without payload" if plain else ""
-    if "surface" in site.usual:
-        plain["surface"] = site.usual["surface"]
-        without += f" on {site.usual['surface']}"
-    found = [
-        Manoeuvre(
-            "speed sweep",
-            f"drive straight and level{without} at {_speeds(top)} m/s, 45 s each",
-            (Part(TOTAL_S, tuple(round(f * top, 3) for f in (0.2, 0.45, 0.7, 0.95)), set=plain),),
-        ),
-        Manoeuvre(
-            "stop and go",
-            f"drive straight and level{without} at {v:g} m/s with a full stop every 12 s, 3 min",
-            (Part(TOTAL_S, (v,), stops=15, set=plain),),
-        ),
-        Manoeuvre(
-            "stand and drive",
-            f"stand still for 90 s, then drive straight{without} at {v:g} m/s for 90 s",
-            (Part(90.0, set=plain), Part(90.0, (v,), set=plain)),
-        ),
-    ]
-    if "yaw_rate_rad_s" in site.usual:
-        rates = tuple(round(f * spin, 3) for f in (0.3, 0.6, 0.95))
-        told = ", ".join(f"{r:g}" for r in rates)
-        found.append(
-            Manoeuvre(
-                "spin", f"turn on the spot{without} at {told} rad/s, 1 min each", (Part(TOTAL_S, (), rates, set=plain),)
-            )
-        )
-        found.append(
-            Manoeuvre(
-                "straight and curved",
-                f"drive{without} at {v:g} m/s, 90 s straight and 90 s in circles at {rates[1]:g} rad/s",
-                (Part(90.0, (v,), set=plain), Part(90.0, (v,), (rates[1],), set=plain)),
-            )
-        )
-    found += _varied(site, v, plain, without)
-    found += _components(site)
-    return found
-
-
-def _speeds(top: float) -> str:
-    return ", ".join(f"{round(f * top, 2):g}" for f in (0.2, 0.45, 0.7, 0.95))
-
-
-def _varied(site: Site, v: float, plain: Mapping[str, Any], without: str) -> list[Manoeuvre]:
+    v, top, usual, low, high = site.cruise_m_s, site.max_speed_m_s, site.usual, site.low, site.high
+    plain: dict[str, Any] = {"payload_kg": 0.0} if "payload_kg" in usual else {}
+    unloaded = " without payload" if plain else ""
+    where = f" on {usual['surface']}" if "surface" in usual else ""
+    without = unloaded + where
+    if where:
+        plain["surface"] = usual["surface"]
     found: list[Manoeuvre] = []
-    half = TOTAL_S / 2
+
+    def add(name: str, do: str, *parts: Part) -> None:
+        found.append(Manoeuvre(name, do, parts))
 
     def pair(name: str, do: str, one: Mapping[str, Any], other: Mapping[str, Any], still: bool = False) -> None:
         speeds = () if still else (v,)
-        parts = (Part(half, speeds, set={**plain, **one}), Part(half, speeds, set={**plain, **other}))
-        found.append(Manoeuvre(name, do, parts))
+        add(name, do, *(Part(TOTAL_S / 2, speeds, set={**plain, **own}) for own in (one, other)))
 
-    if site.high.get("payload_kg", 0.0) > 0.0:
-        load = round(site.high["payload_kg"], 1)
-        where = f" on {site.usual['surface']}" if "surface" in site.usual else ""
+    def span(name: str) -> float:
+        return high.get(name, 0.0) - low.get(name, 0.0)
+
+    shares = (0.2, 0.45, 0.7, 0.95)
+    told = ", ".join(f"{round(f * top, 2):g}" for f in shares)
+    sweep = Part(TOTAL_S, tuple(round(f * top, 3) for f in shares), set=plain)
+    add("speed sweep", f"drive straight and level{without} at {told} m/s, 45 s each", sweep)
+    stops = Part(TOTAL_S, (v,), stops=15, set=plain)
+    add("stop and go", f"drive straight and level{without} at {v:g} m/s with a full stop every 12 s, 3 min", stops)
+    half_and_half = Part(90.0, set=plain), Part(90.0, (v,), set=plain)
+    add("stand and drive", f"stand still for 90 s, then drive straight{without} at {v:g} m/s for 90 s", *half_and_half)
+    if "yaw_rate_rad_s" in usual:
+        rates = tuple(round(f * site.max_yaw_rate_rad_s, 3) for f in (0.3, 0.6, 0.95))
+        told = ", ".join(f"{r:g}" for r in rates)
+        add("spin", f"turn on the spot{without} at {told} rad/s, 1 min each", Part(TOTAL_S, (), rates, set=plain))
+        curve = f"drive{without} at {v:g} m/s, 90 s straight and 90 s in circles at {rates[1]:g} rad/s"
+        add("straight and curved", curve, *(Part(90.0, (v,), turn, set=plain) for turn in ((), (rates[1],))))
+    if high.get("payload_kg", 0.0) > 0.0:
+        load = round(high["payload_kg"], 1)
         pair(
             "payload on and off",
             f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg",
             {"payload_kg": 0.0},
             {"payload_kg": load},
         )
-    surfaces = site.choices.get("surface", ())
-    usual = site.usual.get("surface", "")
-    for other in (name for name in surfaces if name != usual):
-        unloaded = " without payload" if "payload_kg" in site.usual else ""
-        pair(
-            f"{usual} and {other}",
-            f"drive {usual} then {other} at {v:g} m/s{unloaded}, level, 90 s each",
-            {"surface": usual},
-            {"surface": other},
-        )
-    slope = max(abs(site.low.get("slope_rad", 0.0)), abs(site.high.get("slope_rad", 0.0)))
-    if slope > 0.01:
-        steep = round(slope, 3)
-        found.append(
-            Manoeuvre(
-                "ramp",
-                f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s, 3 min",
-                (Part(TOTAL_S, (v,), slope_rad=steep, set=plain),),
-            )
-        )
-    if site.high.get("temp_ambient_c", 0.0) - site.low.get("temp_ambient_c", 0.0) > 3.0:
-        cold, warm = round(site.low["temp_ambient_c"]), round(site.high["temp_ambient_c"])
+    here = usual.get("surface", "")
+    for other in site.choices.get("surface", ()):
+        if other != here:
+            do = f"drive {here} then {other} at {v:g} m/s{unloaded}, level, 90 s each"
+            pair(f"{here} and {other}", do, {"surface": here}, {"surface": other})
+    steep = max(abs(low.get("slope_rad", 0.0)), abs(high.get("slope_rad", 0.0)))
+    if steep > 0.01:
+        steep = round(steep, 3)
+        do = f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s, 3 min"
+        add("ramp", do, Part(TOTAL_S, (v,), slope_rad=steep, set=plain))
+    if span("temp_ambient_c") > 3.0:
+        cold, warm = round(low["temp_ambient_c"]), round(high["temp_ambient_c"])
         pair(
             "cold and warm",
             f"drive straight and level{without} at {v:g} m/s, 90 s at {cold:g} °C and 90 s at {warm:g} °C",
             {"temp_ambient_c": float(cold)},
             {"temp_ambient_c": float(warm)},
         )
-    if site.high.get("cpu_load", 0.0) - site.low.get("cpu_load", 0.0) > 0.05:
+    if span("cpu_load") > 0.05:
         pair(
             "processor stress",
             "stand still, 90 s with the processor idle and 90 s under full load",
-            {"cpu_load": site.low["cpu_load"]},
-            {"cpu_load": site.high["cpu_load"]},
+            {"cpu_load": low["cpu_load"]},
+            {"cpu_load": high["cpu_load"]},
             still=True,
         )
-    if site.high.get("cpu_freq_hz", 0.0) > 1.05 * site.low.get("cpu_freq_hz", 0.0) and "cpu_load" in site.usual:
-        slow, fast = (f"{value / 1e9:.2f} GHz" for value in (site.low["cpu_freq_hz"], site.high["cpu_freq_hz"]))
+    if high.get("cpu_freq_hz", 0.0) > 1.05 * low.get("cpu_freq_hz", 0.0) and "cpu_load" in usual:
+        slow, fast = low["cpu_freq_hz"], high["cpu_freq_hz"]
         pair(
             "processor clock",
-            f"stand still under full load, 90 s at {slow} and 90 s at {fast}",
-            {"cpu_freq_hz": site.low["cpu_freq_hz"], "cpu_load": site.high["cpu_load"]},
-            {"cpu_freq_hz": site.high["cpu_freq_hz"], "cpu_load": site.high["cpu_load"]},
+            f"stand still under full load, 90 s at {slow / 1e9:.2f} GHz and 90 s at {fast / 1e9:.2f} GHz",
+            {"cpu_freq_hz": slow, "cpu_load": high["cpu_load"]},
+            {"cpu_freq_hz": fast, "cpu_load": high["cpu_load"]},
             still=True,
         )
-    if site.high.get("access_point_distance_m", 0.0) > 1.0:
-        near, far = site.low["access_point_distance_m"], site.high["access_point_distance_m"]
+    if high.get("access_point_distance_m", 0.0) > 1.0:
+        near, far = low["access_point_distance_m"], high["access_point_distance_m"]
         pair(
             "near and far from the access point",
             f"stand still, 90 s at {near:.0f} m from the access point and 90 s at {far:.0f} m",
@@ -257,45 +222,47 @@ def _varied(site: Site, v: float, plain: Mapping[str, Any], without: str) -> lis
             {"access_point_distance_m": far},
             still=True,
         )
-    return found
-
-
-def _components(site: Site) -> list[Manoeuvre]:
-    """Each component on and off while everything else stands still; and all of them off."""
-    found = []
     off = {f"on_{name}": 0.0 for name in site.components}
     for name, units in site.components.items():
-        parts = tuple(Part(30.0, set={**off, f"on_{name}": float(units * (i % 2))}) for i in range(6))
-        found.append(
-            Manoeuvre(
-                f"{name} on and off",
-                f"stand still with everything else off and switch {name} off and on every 30 s, 3 min",
-                parts,
-            )
-        )
-    if site.components:
-        found.append(
-            Manoeuvre(
-                "everything off",
-                f"stand still with {', '.join(site.components)} switched off, 3 min",
-                (Part(TOTAL_S, set=off),),
-            )
-        )
+        do = f"stand still with everything else off and switch {name} off and on every 30 s, 3 min"
+        switched = ({**off, f"on_{name}": float(units * (i % 2))} for i in range(6))
+        add(f"{name} on and off", do, *(Part(30.0, set=own) for own in switched))
+    if off:
+        do = f"stand still with {', '.join(site.components)} switched off, 3 min"
+        add("everything off", do, Part(TOTAL_S, set=off))
     return found
 
 
 def script(manoeuvre: Manoeuvre, site: Site) -> Json:
     """Columns of a manoeuvre as a robot would log them, at `STEP_S`; shapes (n,)."""
-    pieces = [_drive(part, site) for part in manoeuvre.parts]
-    count = sum(len(piece["speed_m_s"]) for piece in pieces)
-    columns: dict[str, Any] = {"time_s": STEP_S * (0.5 + np.arange(count))}
-    for name in ("speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "slope_rad"):
-        columns[name] = np.concatenate([piece[name] for piece in pieces])
+    pieces = []
+    for part in manoeuvre.parts:
+        # trapezoidal speeds between rest, the speeds in turn, and rest
+        count = max(4, round(part.seconds / STEP_S))
+        rows = np.arange(count)
+        target, yaw, slope = np.zeros(count), np.zeros(count), np.zeros(count)
+        if part.speeds_m_s:
+            for wanted, leg in zip(part.speeds_m_s, np.array_split(rows, len(part.speeds_m_s)), strict=True):
+                target[leg] = wanted
+            target[-2:] = 0.0
+            for rest in np.array_split(rows, part.stops + 1)[:-1]:
+                target[rest[-6:]] = 0.0
+        if part.yaw_rates_rad_s:
+            for rate, leg in zip(part.yaw_rates_rad_s, np.array_split(rows, len(part.yaw_rates_rad_s)), strict=True):
+                yaw[leg] = rate
+        if part.slope_rad is not None:
+            # up and down in turn, 15 s each
+            slope = np.where((rows * STEP_S // 15.0) % 2 == 0, part.slope_rad, -part.slope_rad)
+        speed = approach(target, STEP_S, site.acceleration_m_s2)
+        pieces.append((speed, np.gradient(speed, STEP_S), yaw, slope))
+    lengths = [len(piece[0]) for piece in pieces]
+    columns: dict[str, Any] = {"time_s": STEP_S * (0.5 + np.arange(sum(lengths)))}
+    for i, name in enumerate(("speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "slope_rad")):
+        columns[name] = np.concatenate([piece[i] for piece in pieces])
     for name, usual in site.usual.items():
         if name in columns or name in FOLLOWS or name.startswith("on_time_"):
             continue
         values = [part.set.get(name, usual) for part in manoeuvre.parts]
-        lengths = [len(piece["speed_m_s"]) for piece in pieces]
         if isinstance(usual, str):
             known = tuple(dict.fromkeys([*site.choices.get(name, ()), *values]))
             codes = np.repeat([known.index(value) for value in values], lengths)
@@ -303,32 +270,6 @@ def script(manoeuvre: Manoeuvre, site: Site) -> Json:
         else:
             columns[name] = np.repeat(np.asarray(values, dtype=float), lengths)
     return columns
-
-
-def _drive(part: Part, site: Site) -> dict[str, Array]:
-    """Motion of one part: trapezoidal speeds between rest, the speeds in turn, and rest."""
-    count = max(4, round(part.seconds / STEP_S))
-    target: Array = np.zeros(count)
-    if part.speeds_m_s:
-        legs = np.array_split(np.arange(count), max(len(part.speeds_m_s), 1))
-        for wanted, rows in zip(part.speeds_m_s, legs, strict=True):
-            target[rows] = wanted
-        target[-2:] = 0.0
-        for rest in np.array_split(np.arange(count), part.stops + 1)[:-1] if part.stops else ():
-            target[rest[-6:]] = 0.0
-    speed = approach(target, STEP_S, site.acceleration_m_s2)
-    yaw: Array = np.zeros(count)
-    if part.yaw_rates_rad_s:
-        for rate, rows in zip(
-            part.yaw_rates_rad_s, np.array_split(np.arange(count), len(part.yaw_rates_rad_s)), strict=True
-        ):
-            yaw[rows] = rate
-    slope: Array = np.zeros(count)
-    if part.slope_rad is not None:
-        # up and down in turn, 15 s each
-        slope = np.where((np.arange(count) * STEP_S // 15.0) % 2 == 0, part.slope_rad, -part.slope_rad)
-    accel = np.gradient(speed, STEP_S)
-    return {"speed_m_s": speed, "accel_m_s2": accel, "yaw_rate_rad_s": yaw, "slope_rad": slope}
 
 
 def shortened(manoeuvre: Manoeuvre, factor: float) -> Manoeuvre:
