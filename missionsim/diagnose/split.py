@@ -94,24 +94,44 @@ def choose_split(
     if all(Path(part).exists() for part in parts):
         return _files(logs, parts, model)
     text = ",".join(parts)
-    fraction = _fraction(text)
-    if fraction is not None:
+    number = "0" if text.strip().lower() == "none" else text.strip()
+    try:
+        fraction = float(number[:-1]) / 100.0 if number.endswith("%") else float(number)
+    except ValueError:
+        pass
+    else:
         if not 0.0 <= fraction < 1.0:
             raise InputError.single("--holdout as a fraction must be below 1", got=text, allowed="0 to 0.9")
         return _last(logs, fraction)
     if any(sign in text for sign in "=<>(") or any(word in text.split() for word in ("and", "or", "not")):
-        return _condition(logs, text)
-    return _named(logs, text)
-
-
-def _fraction(text: str) -> float | None:
-    if text.strip().lower() == "none":
-        return 0.0
-    number = text.strip()
-    try:
-        return float(number[:-1]) / 100.0 if number.endswith("%") else float(number)
-    except ValueError:
-        return None
+        columns = sorted(set.intersection(*(set(log.columns) for log in logs)))
+        condition = compile_expression(text, names=columns, file="--holdout")
+        shares = []
+        for log in logs:
+            meets = np.broadcast_to(np.asarray(condition.evaluate(log.columns), dtype=float), (len(log),))
+            shares.append(float(np.nansum(meets * log.dt_s) / np.sum(log.dt_s)))
+        held, train = (
+            tuple(log for log, s in zip(logs, shares, strict=True) if (s >= 0.5) == out) for out in (True, False)
+        )
+        if not held or not train:
+            which = "no run" if not held else "every run"
+            raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
+        return Split(train, held, f"the {len(held)} runs with {text}", shifted=True)
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    known = [log.run for log in logs]
+    for name in names:
+        if name not in known:
+            raise InputError.single(
+                f"--holdout: there is no run '{name}'",
+                got=name,
+                allowed="a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs "
+                + ", ".join(known),
+                hint=did_you_mean(name, known),
+            )
+    held, train = (tuple(log for log in logs if (log.run in names) == out) for out in (True, False))
+    if not train:
+        raise InputError.single("every run is held out; nothing is left to fit", got=text)
+    return Split(train, held, f"runs {', '.join(names)}")
 
 
 def _last(logs: tuple[Run, ...], fraction: float) -> Split:
@@ -139,40 +159,6 @@ def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) ->
     return Split(train, tuple(kept), how, left_out=(*left_out, *(f"held-out {told}" for told in refused)))
 
 
-def _named(logs: tuple[Run, ...], text: str) -> Split:
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    known = [log.run for log in logs]
-    for name in names:
-        if name not in known:
-            raise InputError.single(
-                f"--holdout: there is no run '{name}'",
-                got=name,
-                allowed="a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs "
-                + ", ".join(known),
-                hint=did_you_mean(name, known),
-            )
-    held = tuple(log for log in logs if log.run in names)
-    train = tuple(log for log in logs if log.run not in names)
-    if not train:
-        raise InputError.single("every run is held out; nothing is left to fit", got=text)
-    return Split(train, held, f"runs {', '.join(names)}")
-
-
-def _condition(logs: tuple[Run, ...], text: str) -> Split:
-    known = sorted(set.intersection(*(set(log.columns) for log in logs)))
-    condition = compile_expression(text, names=known, file="--holdout")
-    held: list[Run] = []
-    train: list[Run] = []
-    for log in logs:
-        meets = np.broadcast_to(np.asarray(condition.evaluate(log.columns), dtype=float), (len(log),))
-        share = float(np.nansum(meets * log.dt_s) / np.sum(log.dt_s))
-        (held if share >= 0.5 else train).append(log)
-    if not held or not train:
-        which = "no run" if not held else "every run"
-        raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
-    return Split(tuple(train), tuple(held), f"the {len(held)} runs with {text}", shifted=True)
-
-
 def stretches(runs: Sequence[Run]) -> tuple[list[Run], str]:
     """What is learnt from runs: all their rows, or of very long ones stretches spread over all; and in words which.
 
@@ -181,24 +167,24 @@ def stretches(runs: Sequence[Run]) -> tuple[list[Run], str]:
     seconds = sum(run.duration_s for run in runs)
     if seconds < MANY_SECONDS:
         return list(runs), ""
-    kept = [_stretches_of(run, LEARNT_SECONDS / seconds, number) for number, run in enumerate(runs)]
+    kept = []
+    for number, run in enumerate(runs):
+        part = LEARNT_SECONDS / seconds
+        count = max(1, round(part * run.duration_s / STRETCH_S))
+        length = max(2, round(part * run.rows / count))
+        room = run.rows / count - length
+        if room < 1.0:
+            kept.append(run)
+            continue
+        # where a stretch lies in its part of the run differs from run to run: the golden section never repeats
+        shift = math.modf(0.618034 * (number + 0.5))[0] * room
+        keep = np.zeros(run.rows, dtype=bool)
+        for begin in np.arange(count) * (run.rows / count) + shift:
+            keep[int(begin) : int(begin) + length] = True
+        derived = derive(run.columns, run.time_s, run.dt_s)
+        kept.append(replace(run, columns=derived).rows_where(keep))
     hours = [sum(run.duration_s for run in some) / 3600.0 for some in (kept, runs)]
     return kept, "effects are looked for in {:.1f} of {:.1f} h, in stretches spread evenly over all runs".format(*hours)
-
-
-def _stretches_of(run: Run, part: float, number: int) -> Run:
-    count = max(1, round(part * run.duration_s / STRETCH_S))
-    length = max(2, round(part * run.rows / count))
-    room = run.rows / count - length
-    if room < 1.0:
-        return run
-    # where a stretch lies in its part of the run differs from run to run: the golden section never repeats
-    shift = math.modf(0.618034 * (number + 0.5))[0] * room
-    keep = np.zeros(run.rows, dtype=bool)
-    for begin in np.arange(count) * (run.rows / count) + shift:
-        keep[int(begin) : int(begin) + length] = True
-    derived = derive(run.columns, run.time_s, run.dt_s)
-    return replace(run, columns=derived).rows_where(keep)
 
 
 def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequence[Effect]) -> tuple[list[Run], str]:
