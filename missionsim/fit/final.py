@@ -16,7 +16,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
-from missionsim.identify.design import Design, Source, make_source
+from missionsim.identify.design import Source, make_source
 from missionsim.identify.settings import Settings
 from missionsim.physics import Array
 from missionsim.physics.lag import Meter
@@ -96,23 +96,17 @@ def final_fit(
         other, raw = _fit(model, ready, prior_sd, clock, replace(settings, period_s=step), fixed, keep_base)
         if raw is not None and raw.names == means.names:
             best = other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
-    return _as_shown(best, ready, clock)
-
-
-def _as_shown(fit: FinalFit, ready: Prepared, clock: Clock) -> FinalFit:
-    """The fit with the meter of its clock, where the rows that were fitted agree better with it (or without one)."""
-    battery, before = ready.battery, fit.model.meter(ready.battery)
-    if before == (found := Meter(clock.delay_s, clock.lag_s)):
-        return fit
-    powers = ready.powers(fit.model)
-
-    def square(meter: Meter) -> float:
+    found = Meter(clock.delay_s, clock.lag_s)
+    if best.model.meter(battery) == found:
+        return best
+    powers, squares = ready.powers(best.model), dict[Meter, float]()
+    for meter in (Meter(), found):
         shown = (run.shown_w(battery, w, meter) for run, w in zip(ready.runs, powers, strict=True))
         errors = (run.measured_w[battery] - w for run, w in zip(ready.runs, shown, strict=True))
-        return sum(float(np.nansum(e**2 * run.dt_s)) for run, e in zip(ready.runs, errors, strict=True))
-
-    best = min((Meter(), found), key=lambda meter: square(meter) * (1.0 - CLEARLY * (meter == Meter())))
-    return replace(fit, model=replace(fit.model, meters={**fit.model.meters, battery: best}))
+        squares[meter] = sum(float(np.nansum(e**2 * run.dt_s)) for run, e in zip(ready.runs, errors, strict=True))
+    squares[Meter()] *= 1.0 - CLEARLY
+    meters = {**best.model.meters, battery: min(squares, key=squares.__getitem__)}
+    return replace(best, model=replace(best.model, meters=meters))
 
 
 def _fit(
@@ -148,7 +142,8 @@ def _fit(
                 return FinalFit(model, {}), None
             now = {n: p.value for n, p in ready.parameters.items()}
             # columns per relative change from the start, so that the prior stays where it was
-            system = whole.of_columns(names, [start[n] / now[n] for n in names])
+            at, scale = [whole.names.index(n) for n in names], [start[n] / now[n] for n in names]
+            system = replace(whole, names=names, x=whole.x[:, at] * scale, energy_x=whole.energy_x[at] * scale)
             done = np.array([now[n] / start[n] - 1.0 for n in names])
             sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
             ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
@@ -165,22 +160,16 @@ def _fit(
         if np.all(np.abs(shift - done) < STILL) or round_ == ROUNDS - 1:
             break
         powers = ready.powers(model)
-        linear = _is_linear(ready, powers, values)
+        # whether gradients alone give the power of the model with other values
+        steps, linear = {n: value / ready.parameters[n].value - 1.0 for n, value in values.items()}, True
+        for base_w, slopes, power in zip(ready.base_w, ready.gradients, powers, strict=True):
+            foretold = base_w + sum((slopes[n] * step for n, step in steps.items()), start=np.zeros(len(base_w)))
+            linear = linear and np.allclose(power, foretold, rtol=STILL, atol=0.0, equal_nan=True)
         if linear:
             system, done = system.moved(powers), shift
         else:
             ready = ready.at(model)
     return FinalFit(model, nought | told, alike), system
-
-
-def _is_linear(ready: Prepared, powers: Sequence[Array], values: Mapping[str, float]) -> bool:
-    """Whether gradients alone give the power of the model with other values."""
-    steps = {n: value / ready.parameters[n].value - 1.0 for n, value in values.items()}
-    for base_w, slopes, power in zip(ready.base_w, ready.gradients, powers, strict=True):
-        foretold = base_w + sum((slopes[n] * step for n, step in steps.items()), start=np.zeros(len(base_w)))
-        if not np.allclose(power, foretold, rtol=STILL, atol=0.0, equal_nan=True):
-            return False
-    return True
 
 
 def _alike(system: _System, names: Sequence[str], prior_sd: Mapping[str, float]) -> dict[str, str]:
@@ -243,9 +232,12 @@ class _System:
         design = source.design(clock)
         names = list(design.layout.parameters)
         x = np.asarray(design.gradient[: len(names)]).T
-        left, seconds = design.y - design.base, design.duration_s
+        left, seconds, cluster = design.y - design.base, design.duration_s, design.run_index()
+        if len(design.runs) < SEVERAL_RUNS:
+            blocks = np.floor((design.time_s - design.time_s.min()) / BLOCK_S).astype(np.intp)
+            cluster = np.asarray(cluster * (int(blocks.max()) + 2) + blocks, dtype=np.intp)
         raw = _energies(data, names)
-        return cls(names, x, left, seconds, _clusters(design), *raw, design.y, runs=data, source=source, clock=clock)
+        return cls(names, x, left, seconds, cluster, *raw, design.y, runs=data, source=source, clock=clock)
 
     def at(self, ready: Prepared, settings: Settings) -> _System:
         """The rows at other values of the parameters in any model."""
@@ -258,11 +250,6 @@ class _System:
         rows, (energy_x, energy_y) = self.source.averaged(raw, self.clock), _energies(data, names)
         y = self.measured_w - rows[0]
         return replace(self, names=names, x=rows[1:].T, y=y, energy_x=energy_x, energy_y=energy_y, runs=data)
-
-    def of_columns(self, names: list[str], scale: Sequence[float]) -> _System:
-        """The columns of some parameters, each times a number."""
-        at = [self.names.index(name) for name in names]
-        return replace(self, names=names, x=self.x[:, at] * scale, energy_x=self.energy_x[at] * scale)
 
     def left_out(self, raw: _System) -> float:
         """Mean squared error [W2] of other rows of the same runs, each cluster predicted from a fit to the others."""
@@ -293,15 +280,6 @@ def _energy(run: RunData, power: Array) -> float:
     """What a power leaves of the measured energy, over all rows that were measured [J]."""
     seen = np.isfinite(run.measured_w)
     return float(run.dt_s[seen] @ (run.measured_w - power)[seen])
-
-
-def _clusters(design: Design) -> NDArray[np.intp]:
-    """Number of the run of each row, or with few runs of its block of `BLOCK_S`."""
-    index = design.run_index()
-    if len(design.runs) >= SEVERAL_RUNS:
-        return index
-    blocks = np.floor((design.time_s - design.time_s.min()) / BLOCK_S).astype(np.intp)
-    return np.asarray(index * (int(blocks.max()) + 2) + blocks, dtype=np.intp)
 
 
 def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool) -> tuple[Array, Array]:

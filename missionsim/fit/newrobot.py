@@ -13,7 +13,7 @@ from missionsim.effects.base_terms import ALIASES
 from missionsim.effects.covariates import elapsed, is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
-from missionsim.expressions import FUNCTIONS, Expression, compile_expression
+from missionsim.expressions import FUNCTIONS, compile_expression
 from missionsim.fit.parameters import FittedParameter, ModelFit, fit_parameters
 from missionsim.fit.provenance import CALIBRATION, data_tag, ranges_of
 from missionsim.glossary import column_of
@@ -85,22 +85,61 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
             allowed=", ".join(measured),
             hint=did_you_mean(robot.battery, measured),
         )
-    formula = _formula(robot, logs)
-    remarks = _one_sided(formula, logs)
-    components = _components(logs, robot.battery, remarks)
-    parameters = sorted(formula.names - _columns(formula, logs))
-    standing = _has_standing(logs, robot.battery, remarks)
+    remarks: list[str] = []
+    formula = compile_expression(robot.base, file="--base")
+    shared = set.intersection(*(set(log.columns) for log in logs))
+    columns = {name for log in logs for name in log.columns}
+    for name in sorted(formula.names):
+        wanted = ALIASES.get(name, name)
+        derived = wanted in ("accel_m_s2", "mass_kg")
+        known = name in ALIASES or column_of(name) is not None
+        if known and not derived and wanted not in shared:
+            raise InputError.single(
+                f"--base reads '{name}' ({wanted}), which not every log has",
+                got=name,
+                allowed=", ".join(sorted(columns)),
+                hint=did_you_mean(wanted, columns),
+            )
+    for name in sorted(formula.names):
+        # turns (or ways) to one side may give other power by the formula than those to the other
+        if (column := ALIASES.get(name, name)) not in ("yaw_rate_rad_s", "lateral_speed_m_s"):
+            continue
+        left, right = (formula.evaluate(dict.fromkeys(formula.names, 1.0) | {name: sign}) for sign in (1.0, -1.0))
+        values = [log.number(column) for log in logs if column in log.columns]
+        if left != right and min(map(np.nanmin, values)) < 0.0 < max(map(np.nanmax, values)):
+            remarks.append(
+                f"{name} has a sign, this formula gives one side more power than the other: for both alike, abs({name})"
+            )
+    components = _components(logs, remarks)
+    parameters = sorted(
+        n for n in formula.names if not (n in ALIASES or n in shared or column_of(n) is not None or n in FUNCTIONS)
+    )
+    standing = all("speed_m_s" in log.columns for log in logs)
+    if standing:
+        rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)
+        standing = rest >= SHORTEST_STANDING_S
+        if not standing:
+            remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")
     if standing and "standing" in parameters:
         raise InputError.single(
             "'standing' is the name of the power at rest; call the parameter otherwise", got=robot.base
         )
     names = [*parameters, *(["standing"] if standing else [])]
-    draft = _text(robot, dict.fromkeys(names), components, standing, logs, "", "")
-    model = _load(draft)
-    fit = fit_parameters(model, logs, robot.battery, free=True)
-    _refuse_unseen(fit, [*names, *(f"{c}.power" for c in components)], logs)
+    draft = _text(robot, dict.fromkeys(names), components, standing, logs, "")
+    fit = fit_parameters(_load(draft), logs, robot.battery, free=True)
+    # columns that every log has and a formula may read
+    readable = sorted(name for name in shared if name != "time_s" and not name.startswith(("power_", "energy_")))
+    asked = [*names, *(f"{c}.power" for c in components)]
+    if unseen := [name for name in asked if name in fit.parameters and not fit.parameters[name].seen]:
+        near = dict.fromkeys(column for name in unseen if (column := did_you_mean(name, readable, _NEAR)))
+        raise InputError.single(
+            "these logs cannot tell some parameters of --base apart",
+            got=", ".join(unseen),
+            allowed=f"parameters that each change the power on their own, and columns: {', '.join(readable)}",
+            hint=", ".join(near),
+        )
     for name in parameters:
-        if column := did_you_mean(name, _known_columns(logs), _LIKELY):
+        if column := did_you_mean(name, readable, _LIKELY):
             remarks.append(f"{name} was fitted as a parameter; if the column {column} is meant, write that")
     if standing:
         fit = _with_rest(fit, logs, robot.battery)
@@ -110,11 +149,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
                 f"{name} came out negative ({value.value:.3g}, 95 % {value.low:.3g} to {value.high:.3g}): "
                 "the formula lacks something, or the logs do not vary it enough"
             )
-    source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
-    text = _text(robot, fit.parameters, components, standing, logs, source, data_tag(logs))
+    source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}, data {data_tag(logs)}"
+    text = _text(robot, fit.parameters, components, standing, logs, source)
     written = _load(text)
-    own = [log for log in logs if robot.battery in log.power_w]
-    after = errors_of(written, own, robot.battery)
+    after = errors_of(written, [log for log in logs if robot.battery in log.power_w], robot.battery)
     return Calibration(text, replace(fit, model=written, after=after), (*fit.remarks, *remarks))
 
 
@@ -126,58 +164,16 @@ def _load(text: str) -> PowerModel:
     try:
         return build_power_model(robot_from_text(text))
     except InputError as error:
-        raise InputError(
-            replace(fault, file=_option(fault.path), line=0, column=0, path="") for fault in error.faults
-        ) from None
+        faults = []
+        for fault in error.faults:
+            option = next((option for begin, option in _OPTIONS.items() if fault.path.startswith(begin)), "--base")
+            if option == "--battery" and fault.path.endswith(".capacity"):
+                option = "--capacity"
+            faults.append(replace(fault, file=option, line=0, column=0, path=""))
+        raise InputError(faults) from None
 
 
-def _option(path: str) -> str:
-    """The option from which a value of the file comes."""
-    for begin, option in _OPTIONS.items():
-        if path.startswith(begin):
-            return "--capacity" if path.endswith(".capacity") else option
-    return "--base"
-
-
-def _formula(robot: NewRobot, logs: Sequence[Run]) -> Expression:
-    formula = compile_expression(robot.base, file="--base")
-    columns = {name for log in logs for name in log.columns}
-    for name in sorted(formula.names):
-        wanted = ALIASES.get(name, name)
-        derived = wanted in ("accel_m_s2", "mass_kg")
-        known = name in ALIASES or column_of(name) is not None
-        if known and not derived and any(wanted not in log.columns for log in logs):
-            raise InputError.single(
-                f"--base reads '{name}' ({wanted}), which not every log has",
-                got=name,
-                allowed=", ".join(sorted(columns)),
-                hint=did_you_mean(wanted, columns),
-            )
-    return formula
-
-
-def _one_sided(formula: Expression, logs: Sequence[Run]) -> list[str]:
-    """Told where turns (or ways) to one side give other power by the formula than those to the other."""
-    remarks = []
-    for name in sorted(formula.names):
-        column = ALIASES.get(name, name)
-        if column not in ("yaw_rate_rad_s", "lateral_speed_m_s"):
-            continue
-        left, right = (formula.evaluate(dict.fromkeys(formula.names, 1.0) | {name: sign}) for sign in (1.0, -1.0))
-        values = [log.number(column) for log in logs if column in log.columns]
-        if left != right and min(map(np.nanmin, values)) < 0.0 < max(map(np.nanmax, values)):
-            remarks.append(
-                f"{name} has a sign, this formula gives one side more power than the other: for both alike, abs({name})"
-            )
-    return remarks
-
-
-def _columns(formula: Expression, logs: Sequence[Run]) -> set[str]:
-    shared = set.intersection(*(set(log.columns) for log in logs))
-    return {n for n in formula.names if n in ALIASES or n in shared or column_of(n) is not None or n in FUNCTIONS}
-
-
-def _components(logs: Sequence[Run], battery: str, remarks: list[str]) -> dict[str, int]:
+def _components(logs: Sequence[Run], remarks: list[str]) -> dict[str, int]:
     """Components with a switch in the logs that was used: name and most units."""
     found: dict[str, int] = {}
     names = sorted({name for log in logs for name in log.columns if name.startswith("on_")})
@@ -189,15 +185,6 @@ def _components(logs: Sequence[Run], battery: str, remarks: list[str]) -> dict[s
         else:
             remarks.append(f"{column[3:]} was never switched in these logs: its power is part of the base")
     return found
-
-
-def _has_standing(logs: Sequence[Run], battery: str, remarks: list[str]) -> bool:
-    if not all("speed_m_s" in log.columns for log in logs):
-        return False
-    rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)
-    if rest < SHORTEST_STANDING_S:
-        remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")
-    return rest >= SHORTEST_STANDING_S
 
 
 def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
@@ -234,25 +221,6 @@ def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
     return replace(fit, parameters={**fit.parameters, "standing": new})
 
 
-def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Run]) -> None:
-    unseen = [name for name in names if name in fit.parameters and not fit.parameters[name].seen]
-    if unseen:
-        columns = _known_columns(logs)
-        near = dict.fromkeys(column for name in unseen if (column := did_you_mean(name, columns, _NEAR)))
-        raise InputError.single(
-            "these logs cannot tell some parameters of --base apart",
-            got=", ".join(unseen),
-            allowed=f"parameters that each change the power on their own, and columns: {', '.join(columns)}",
-            hint=", ".join(near),
-        )
-
-
-def _known_columns(logs: Sequence[Run]) -> list[str]:
-    """Columns that every log has and a formula may read."""
-    shared = set.intersection(*(set(log.columns) for log in logs))
-    return sorted(name for name in shared if name != "time_s" and not name.startswith(("power_", "energy_")))
-
-
 def _text(
     robot: NewRobot,
     values: Mapping[str, FittedParameter | None],
@@ -260,21 +228,30 @@ def _text(
     standing: bool,
     logs: Sequence[Run],
     source: str,
-    tag: str,
 ) -> str:
+    speeds = [np.abs(np.asarray(log.columns["speed_m_s"], dtype=float)) for log in logs if "speed_m_s" in log.columns]
+    fastest = float(np.nanmax(np.concatenate(speeds))) if speeds else 0.0
+    max_speed = f"{{value: {fastest:.3g} m/s, status: measured, note: fastest in the logs}}"
+    if robot.max_speed:
+        max_speed = json.dumps(robot.max_speed)
+    elif fastest <= 0.0:
+        max_speed = f"{{value: 1 m/s, status: assumed, note: {json.dumps(_UNKNOWN)}}}"
+    most_wh = max(abs(log.energy_wh(robot.battery)) for log in logs if robot.battery in log.power_w)
+    capacity = f"{{value: {max(10.0 * most_wh, 1.0):.2g} Wh, status: assumed, note: {json.dumps(_UNKNOWN)}}}"
+    capacity = json.dumps(robot.capacity) if robot.capacity else capacity
     base = [name for name in values if "." not in name]
     lines = [
         "kind: robot",
         f"name: {_word(robot.name)}",
         f"title: {json.dumps(f'{robot.name}, base model fitted to measured logs')}",
-        *([f"sources: {{{CALIBRATION}: {json.dumps(source + ', data ' + tag)}}}"] if source else []),
+        *([f"sources: {{{CALIBRATION}: {json.dumps(source)}}}"] if source else []),
         *([f"origin: {{range: {json.dumps(ranges_of(logs))}}}"] if source else []),
         "body:",
         *([f"  mass: {json.dumps(robot.mass)}"] if robot.mass else []),
         f"  drive: {_word(robot.drive)}",
-        f"  max_speed: {_max_speed(robot, logs)}",
+        f"  max_speed: {max_speed}",
         "batteries:",
-        f"  {_word(robot.battery)}: {{capacity: {_capacity(robot, logs)}}}",
+        f"  {_word(robot.battery)}: {{capacity: {capacity}}}",
         "motion:",
         f"  battery: {robot.battery}",
         "  model: expression",
@@ -317,20 +294,3 @@ def _number(value: FittedParameter | None, unit: str = "") -> str:
     return (
         f"{{value: {shown:.6g}{suffix}, sd: {max(value.sd, 1e-12):.3g}{suffix}, status: fitted, source: {CALIBRATION}}}"
     )
-
-
-def _max_speed(robot: NewRobot, logs: Sequence[Run]) -> str:
-    if robot.max_speed:
-        return json.dumps(robot.max_speed)
-    speeds = [np.abs(np.asarray(log.columns["speed_m_s"], dtype=float)) for log in logs if "speed_m_s" in log.columns]
-    fastest = float(np.nanmax(np.concatenate(speeds))) if speeds else 0.0
-    if fastest <= 0.0:
-        return f"{{value: 1 m/s, status: assumed, note: {json.dumps(_UNKNOWN)}}}"
-    return f"{{value: {fastest:.3g} m/s, status: measured, note: fastest in the logs}}"
-
-
-def _capacity(robot: NewRobot, logs: Sequence[Run]) -> str:
-    if robot.capacity:
-        return json.dumps(robot.capacity)
-    most = max(abs(log.energy_wh(robot.battery)) for log in logs if robot.battery in log.power_w)
-    return f"{{value: {max(10.0 * most, 1.0):.2g} Wh, status: assumed, note: {json.dumps(_UNKNOWN)}}}"

@@ -8,7 +8,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from missionsim.effects.covariates import is_moving
-from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.files import Json
 from missionsim.fit.final import Value, final_fit
@@ -37,32 +37,26 @@ SETTLING_ROUNDS = 30
 
 
 def settled(model: PowerModel, ready: Prepared, logs: Sequence[Run]) -> tuple[PowerModel, Prepared]:
-    """Ordinary least squares repeated until a formula that is not linear settles."""
-    for _ in range(SETTLING_ROUNDS):
-        again, new = _shortened(model, ready, _least_squares_start(model, ready), logs)
-        change = max(
-            (abs(new.parameters[n].value - p.value) / max(abs(p.value), 1e-300) for n, p in ready.parameters.items()),
-            default=0.0,
-        )
-        model, ready = again, new
-        if change < 1e-6:
-            break
-    return model, ready
+    """Ordinary least squares repeated until a formula that is not linear settles.
 
-
-def _shortened(model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Run]) -> tuple[PowerModel, Prepared]:
-    """The step towards `aim`, halved until the squared error does not rise; a linear formula takes the whole step."""
-    before = _square(ready)
+    Each step is halved until the squared error does not rise; a linear formula takes the whole step.
+    """
     battery = ready.battery
-    start = {name: p.value for name, p in ready.parameters.items()}
-    goal = {name: aim.parameters[f"{battery}/{name}"].value for name in start}
-    for power in range(10):
-        part = 0.5**power
-        trial = model.with_values({f"{battery}/{n}": start[n] + part * (goal[n] - start[n]) for n in start})
-        with np.errstate(all="ignore"):
-            after = prepare(trial, logs, battery)
-            if _square(after) <= before * (1.0 + 1e-9):
-                return trial, after
+    for _ in range(SETTLING_ROUNDS):
+        aim, before = _least_squares_start(model, ready), _square(ready)
+        start = {name: p.value for name, p in ready.parameters.items()}
+        goal = {name: aim.parameters[f"{battery}/{name}"].value for name in start}
+        for power in range(10):
+            part = 0.5**power
+            trial = model.with_values({f"{battery}/{n}": start[n] + part * (goal[n] - start[n]) for n in start})
+            with np.errstate(all="ignore"):
+                after = prepare(trial, logs, battery)
+                if _square(after) <= before * (1.0 + 1e-9):
+                    model, ready = trial, after
+                    break
+        moved = (abs(ready.parameters[n].value - v) / max(abs(v), 1e-300) for n, v in start.items())
+        if max(moved, default=0.0) < 1e-6:
+            break
     return model, ready
 
 
@@ -74,16 +68,6 @@ def _square(ready: Prepared) -> float:
         usable = np.isfinite(measured)
         total += float(np.sum((measured - base)[usable] ** 2 * run.dt_s[usable]))
     return total if np.isfinite(total) else float("inf")
-
-
-def free_priors(ready: Prepared, known: Mapping[str, ModelParameter]) -> dict[str, float]:
-    """Priors so wide that they say nothing: many times the value, and many times what would make all the power."""
-    power = float(np.nanmean(np.abs(ready.measured_w())))
-    wide = {}
-    for name in known:
-        size = float(np.mean([float(np.mean(np.abs(g[name]))) for g in ready.gradients if name in g] or [0.0]))
-        wide[name] = max(FREE_SD, 10.0 * power / size) if size > 0.0 else FREE_SD
-    return wide
 
 
 def told_apart(ready: Prepared) -> frozenset[str]:
@@ -207,13 +191,23 @@ def fit_parameters(
             model, ready = settled(model, ready, logs)
         known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
         told = told_apart(ready) if free else frozenset(known)
-        prior_sd = free_priors(ready, known) if free else {name: max(p.prior_sd, 1e-6) for name, p in known.items()}
+        prior_sd = {name: max(p.prior_sd, 1e-6) for name, p in known.items()}
+        if free:
+            # so wide that they say nothing: many times the value, and many times what would make all the power
+            power = float(np.nanmean(np.abs(ready.measured_w())))
+            for name in known:
+                size = float(np.mean([float(np.mean(np.abs(g[name]))) for g in ready.gradients if name in g] or [0.0]))
+                prior_sd[name] = max(FREE_SD, 10.0 * power / size) if size > 0.0 else FREE_SD
         source = make_source(ready.data(), [], prior_sd, settings)
         # far from right, a delay stands for what the model lacks: an advance looks like inertia
         clock = source.clock if far_from_right(source) is None else Clock.as_logged(len(source.runs))
         fitted = final_fit(model, logs, battery, prior_sd, clock, settings)
         after = errors_of(fitted.model, logs, battery)
-        if not explained(after, ready) > LEAST_EXPLAINED:
+        measured, seconds = ready.measured_w(), ready.seconds()
+        level = float(np.average(measured, weights=seconds))
+        spread = float(np.average((measured - level) ** 2, weights=seconds))
+        explained = 1.0 - after.power_rmse_w**2 / spread if spread > 0.0 else 0.0
+        if not explained > LEAST_EXPLAINED:
             raise OverflowError("an error far larger than the power at the values that were tried")
     except (np.linalg.LinAlgError, OverflowError) as error:
         raise InputError.single(
@@ -237,6 +231,16 @@ def fit_parameters(
         f"{name} and {twin} act on the power in the same way: {twin} is fitted, {name} stays as it is"
         for name, twin in fitted.alike.items()
     ]
+    on = [np.asarray(is_moving(run.covariates)) for run in ready.runs if "speed_m_s" in run.covariates]
+    moving = sum(int(np.count_nonzero(one)) for one in on)
+    changes = sum(int(np.count_nonzero(np.diff(one))) for one in on)
+    row_s = float(np.median(seconds))
+    if row_s >= SLOW_ROW_S and changes >= max(OFTEN * moving, 1.0):
+        remarks.append(
+            f"the robot starts or stops in {changes / moving:.0%} of the rows in which it moves, each {row_s:.2g} s "
+            "long: where in them, the log does not say, so that what moving costs and what grows with speed may be off "
+            "by as much, beyond their intervals; log at 5 Hz or more, or drive longer between stops"
+        )
     return ModelFit(
         battery,
         fitted.model,
@@ -245,31 +249,8 @@ def fit_parameters(
         clock.lag_s,
         errors_of(given, logs, battery),
         after,
-        explained(after, ready),
+        explained,
         runs=tuple(log.run for log in logs),
         seconds=after.total.seconds,
-        remarks=tuple(dict.fromkeys([*ready.remarks, *remarks, *_blurred(ready)])),
+        remarks=tuple(dict.fromkeys([*ready.remarks, *remarks])),
     )
-
-
-def _blurred(ready: Prepared) -> list[str]:
-    """Told where rows are too slow for a robot that starts and stops often: such a row holds standing and moving."""
-    on = [np.asarray(is_moving(run.covariates)) for run in ready.runs if "speed_m_s" in run.covariates]
-    moving = sum(int(np.count_nonzero(one)) for one in on)
-    changes = sum(int(np.count_nonzero(np.diff(one))) for one in on)
-    row_s = float(np.median(ready.seconds()))
-    if row_s < SLOW_ROW_S or changes < max(OFTEN * moving, 1.0):
-        return []
-    return [
-        f"the robot starts or stops in {changes / moving:.0%} of the rows in which it moves, each {row_s:.2g} s long: "
-        "where in them, the log does not say, so that what moving costs and what grows with speed may be off by as "
-        "much, beyond their intervals; log at 5 Hz or more, or drive longer between stops"
-    ]
-
-
-def explained(errors: Errors, ready: Prepared) -> float:
-    """Share of the variance of the measured power that a model explains (R²)."""
-    measured, seconds = ready.measured_w(), ready.seconds()
-    level = float(np.average(measured, weights=seconds))
-    spread = float(np.average((measured - level) ** 2, weights=seconds))
-    return 1.0 - errors.power_rmse_w**2 / spread if spread > 0.0 else 0.0
