@@ -109,7 +109,21 @@ def _downwards(runs: Sequence[Run], battery: str) -> str:
         (1.0, "going up costs less than going down: is downhill positive, as in the pitch of ROS? A map turns it"),
         (-1.0, "going up backwards costs less than going down: the pitch of the body? A map takes pitch * sign(speed)"),
     ):
-        parts = [part for run in runs if (part := _lifting(run, battery, sign)) is not None]
+        # of the rows of one direction of travel: speed times slope and power, both without what goes with speed and
+        # yaw rate, and the number of the block of time
+        parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
+        for run in runs:
+            speed, slope, watts = run.number("speed_m_s"), run.number("slope_rad"), run.power_w[battery]
+            yaw = np.abs(run.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in run.columns else 0.0 * speed
+            keep = (sign * speed > UNDER_WAY_M_S) & np.isfinite(slope + watts + yaw)
+            if np.count_nonzero(keep) < ROWS_TO_TELL or not np.ptp(slope[keep]):
+                continue  # no slope to tell by
+            v = np.abs(speed[keep])
+            rest = np.stack([np.ones_like(v), v, v**2, yaw[keep]], axis=1)
+            both = np.stack([v * slope[keep], watts[keep]], axis=1)
+            own_lift, own_power = (both - rest @ np.linalg.lstsq(rest, both, rcond=None)[0]).T
+            number = ((run.time_s[keep] - run.time_s[0]) // APART_S).astype(np.intp)
+            parts.append((own_lift, own_power, np.unique(number, return_inverse=True)[1]))
         if len(parts) < FEWEST:
             continue
         lift = np.concatenate([lift for lift, _, _ in parts])
@@ -124,22 +138,6 @@ def _downwards(runs: Sequence[Run], battery: str) -> str:
         if clear and cost < DOWNWARDS * error and shown >= MOST_RUNS * len(parts):
             return f"slope_rad: {why}"
     return ""
-
-
-def _lifting(run: Run, battery: str, sign: float) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """Of the rows of one direction of travel: speed times slope and power, both without what goes with speed and yaw
-    rate, and the number of the block of time; None where there is no slope to tell by."""
-    speed, slope, power = run.number("speed_m_s"), run.number("slope_rad"), run.power_w[battery]
-    yaw = np.abs(run.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in run.columns else 0.0 * speed
-    keep = (sign * speed > UNDER_WAY_M_S) & np.isfinite(slope + power + yaw)
-    if np.count_nonzero(keep) < ROWS_TO_TELL or not np.ptp(slope[keep]):
-        return None
-    v = np.abs(speed[keep])
-    rest = np.stack([np.ones_like(v), v, v**2, yaw[keep]], axis=1)
-    both = np.stack([v * slope[keep], power[keep]], axis=1)
-    lift, watts = (both - rest @ np.linalg.lstsq(rest, both, rcond=None)[0]).T
-    number = np.unique(((run.time_s[keep] - run.time_s[0]) // APART_S).astype(np.intp), return_inverse=True)[1]
-    return lift, watts, number
 
 
 def _units(runs: Sequence[Run]) -> dict[str, str]:
@@ -202,16 +200,23 @@ def _factors(
     apart = np.abs(np.log(np.maximum(ratios / usual, 1e-12)))
     middle = float(np.nanmedian(apart))
     least = max(np.log(SUSPECT), ALIKE * middle)
+    speeds = [np.abs(one.number("speed_m_s")) for one in runs if "speed_m_s" in one.columns]
+    usual_m_s = float(np.median([np.quantile(speed, 0.95) for speed in speeds])) if speeds else 0.0
     for run, off, far in zip(runs, ratios / usual, apart, strict=True):
         if not np.isfinite(off) or far < least:
             continue
-        speeds = [
-            factor
-            for factor in _other_speeds(run, runs)
-            if _near(_ratio(drive(model, divided(run, "speed_m_s", factor), battery), battery) / usual)
-        ]
-        if speeds:
-            found[run.run] = f"speed_m_s is {speeds[0]:.3g} times too large ({SPEEDS[speeds[0]]}?)"
+        told = ""
+        if "speed_m_s" in run.columns and larger("speed_m_s", run, [one for one in runs if one is not run]):
+            # factors that make its speeds more like those of the others, the likeliest first
+            times = float(np.quantile(np.abs(run.number("speed_m_s")), 0.95)) / usual_m_s if usual_m_s > 0.0 else 0.0
+            gaps = {factor: abs(np.log(times / factor)) for factor in SPEEDS} if times > 0.0 else {}
+            for factor in sorted((f for f, gap in gaps.items() if gap < abs(np.log(times))), key=gaps.__getitem__):
+                mended = _ratio(drive(model, divided(run, "speed_m_s", factor), battery), battery) / usual
+                if np.isfinite(mended) and 1.0 / EXPLAINED < mended < EXPLAINED:
+                    told = f"speed_m_s is {factor:.3g} times too large ({SPEEDS[factor]}?)"
+                    break
+        if told:
+            found[run.run] = told
         elif off < 0.0 or far > np.log(LEVEL):
             found[run.run] = f"power_{battery}_w is {off:.3g} times the other runs against the model: another unit?"
         elif far > ALONE * middle:
@@ -225,24 +230,6 @@ def _factors(
 def _ratio(driven: Driven, battery: str) -> float:
     model_j = float(driven.model_w[battery] @ driven.dt_s)
     return float(driven.measured_w[battery] @ driven.dt_s) / model_j if model_j else float("nan")
-
-
-def _other_speeds(run: Run, runs: Sequence[Run]) -> list[float]:
-    """Factors that make a run's speeds more like those of the others, the likeliest first; none unless it is faster or
-    slower than any of them."""
-    if "speed_m_s" not in run.columns or not larger("speed_m_s", run, [one for one in runs if one is not run]):
-        return []
-    fast = [float(np.quantile(np.abs(one.number("speed_m_s")), 0.95)) for one in runs if "speed_m_s" in one.columns]
-    usual = float(np.median(fast))
-    off = float(np.quantile(np.abs(run.number("speed_m_s")), 0.95)) / usual if usual > 0.0 else 0.0
-    if not off > 0.0:
-        return []
-    apart = {factor: abs(np.log(off / factor)) for factor in SPEEDS}
-    return sorted((factor for factor in SPEEDS if apart[factor] < abs(np.log(off))), key=apart.__getitem__)
-
-
-def _near(off: float) -> bool:
-    return bool(np.isfinite(off) and 1.0 / EXPLAINED < off < EXPLAINED)
 
 
 SHARE = 0.003
@@ -357,17 +344,16 @@ def copies(runs: Sequence[Run]) -> dict[int, int]:
             # of two runs of one mission some speeds are alike here and there, of a copy at one shift throughout
             shared = max(shifts.get((i, j), Counter({0: 0})).values())
             alike = least >= LEAST / rare and shared > PART * least
-            if i not in found and set(run.power_w) == set(runs[i].power_w) and (alike or _same_power(runs[i], run)):
+            if i in found or set(run.power_w) != set(runs[i].power_w):
+                continue
+            same = run.rows == runs[i].rows and all(
+                float(np.std(power - run.power_w[name])) <= SHARE * abs(float(np.mean(power)))
+                for name, power in runs[i].power_w.items()
+            )
+            if alike or same:
                 found[j] = i
                 break
     return found
-
-
-def _same_power(one: Run, other: Run) -> bool:
-    return one.rows == other.rows and all(
-        float(np.std(power - other.power_w[name])) <= SHARE * abs(float(np.mean(power)))
-        for name, power in one.power_w.items()
-    )
 
 
 def _fingerprints(run: Run) -> dict[int, int]:

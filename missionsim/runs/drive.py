@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -77,13 +78,15 @@ def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *
         for term in model.of(battery):
             lacking = [name for name in term.effect.needs if name not in have]
             own_assumed |= {name: 0.0 for name in lacking if name in ASSUMED or is_switch(name)}
-            unknown = [name for name in lacking if name not in own_assumed and not _follows(name, own_assumed)]
+            # a clock follows from a component that counts as off
+            told_by = {*own_assumed, *(clock_of(name) for name in own_assumed if is_switch(name))}
+            unknown = " and ".join(name for name in lacking if name not in told_by)
             if unknown and term.base:
-                skip = f"its {term.key.component} ({term.key.name}) needs the column {_listed(unknown)}"
+                skip = f"its {term.key.component} ({term.key.name}) needs the column {unknown}"
                 break
             if unknown:
                 kept = tuple(other for other in kept if other.key != term.key)
-                notes.append(f"{battery}: the effect {term.key.name} is left out: the log has no {_listed(unknown)}")
+                notes.append(f"{battery}: the effect {term.key.name} is left out: the log has no {unknown}")
         if skip:
             reasons.append(f"battery '{battery}' is skipped: {skip}, which the log lacks")
         else:
@@ -132,15 +135,6 @@ def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *
         switched,
         frozenset(untold & used),
     )
-
-
-def _follows(name: str, assumed: Mapping[str, float]) -> bool:
-    """Whether a clock follows from a component that counts as off."""
-    return name.startswith("on_time_") and f"on_{name[8:-2]}" in assumed
-
-
-def _listed(names: list[str]) -> str:
-    return " and ".join(names)
 
 
 MOST_MISSING = 0.2
@@ -216,18 +210,19 @@ def drive(model: PowerModel, run: Run, battery: str) -> Driven:
 
 def drive_blocks(plan: Assumed, blocks: Iterable[Run]) -> Iterator[Driven]:
     """Drive a model with a run in consecutive blocks, the memory of the model carried from block to block."""
-    carry = _Carry(plan)
-    last: Driven | None = None
-    for block, before, after in _with_neighbours(blocks):
-        driven = _driven(plan, block, carry.derive(block, before, after), last)
-        last = driven if plan.model.meters else None
-        yield driven
-
-
-def _driven(plan: Assumed, block: Run, cov: dict[str, Any], before: Driven | None) -> Driven:
+    carry, model = _Carry(plan), plan.model
     switches = {*plan.switched, *(name for name in plan.assumed if is_switch(name))}
-    filled = frozenset({*plan.assumed, *switches, *map(clock_of, switches)} - set(block.columns))
-    return _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled, plan.unknown, before)
+    filled_in = {*plan.assumed, *switches, *map(clock_of, switches)}
+    before: Run | None = None
+    last: Driven | None = None
+    ahead: Iterator[Run | None] = chain((block for block in blocks if len(block.time_s)), [None])
+    for block, after in pairwise(ahead):
+        assert block is not None
+        cov = model.complete(carry.derive(block, before, after))
+        own = frozenset(filled_in - set(block.columns))
+        driven = _evaluated(model, plan.batteries, block, cov, own, plan.unknown, last)
+        before, last = block, driven if model.meters else None
+        yield driven
 
 
 def _evaluated(
@@ -315,27 +310,47 @@ class _Carry:
             speed = np.asarray(columns["speed_m_s"], dtype=float)
             if self._noise_m_s is None:
                 self._noise_m_s = speed_noise(between_refreshes(speed, block.time_s))
-            columns["accel_m_s2"] = _acceleration(block, before, after, self._noise_m_s)
+            rows = 2 * max(2, int(WIDTHS_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
+            tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
+            parts = [(one.time_s[cut], one.columns["speed_m_s"][cut]) for one, cut in tables if one is not None]
+            times_s = np.concatenate([part[0] for part in parts])
+            speed = np.concatenate([np.asarray(part[1], dtype=float) for part in parts])
+            first = 0 if before is None else len(before.time_s[-rows:])
+            accel = acceleration(speed, times_s, self._noise_m_s)
+            columns["accel_m_s2"] = accel[first : first + len(block.time_s)]
         for name, value in self._plan.assumed.items():
             columns.setdefault(name, np.full(block.time_s.shape, value))
         for name, units in self._plan.switched.items():
-            columns[name] = _of_scheme(columns["scheme"], units)
+            # units that are on under the scheme of each row; none where that is not told
+            scheme = columns["scheme"]
+            labels = scheme if isinstance(scheme, Labels) else Labels.of(np.asarray(scheme))
+            known = np.array([*(units.get(one, 0.0) for one in labels.names), 0.0])
+            columns[name] = np.nan_to_num(known)[labels.codes]
         if "speed_m_s" in columns:
             # asked for by every term of the drive
             columns.setdefault("moving", np.asarray(is_moving(columns)))
         cov = derive(columns, block.time_s, block.dt_s)
         cov["time_s"] = block.time_s - self._start_s
         if "moving_time_s" in cov and "moving_time_s" not in block.columns:
-            moving = (_moves(cov, 0), _moves(cov, -1))
+            motion = ("moving", "speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
+            ends = ({name: np.asarray(cov[name])[row] for name in motion if name in cov} for row in (0, -1))
+            begins, goes_on = (bool(is_moving(end)) for end in ends)
             cov["moving_time_s"] = cov["moving_time_s"] + self._clocks.get("moving_time_s", 0.0)
-            rest = 0.5 * float(block.dt_s[-1]) if moving[1] else 0.0
+            rest = 0.5 * float(block.dt_s[-1]) if goes_on else 0.0
             self._clocks["moving_time_s"] = float(cov["moving_time_s"][-1]) + rest
-            if moving[0] and not self._moving:
+            if begins and not self._moving:
                 cov["starts"][0] = 1.0
                 cov["starts_per_s"][0] = 1.0 / max(float(block.dt_s[0]), 1e-9)
-            self._moving = moving[1]
+            self._moving = goes_on
         for name in [name for name in columns if is_switch(name)]:
-            self._carry_component(name, cov, block)
+            clock, on = clock_of(name), np.asarray(cov[name]) > 0.0
+            if clock in block.columns or clock not in cov:
+                continue
+            if on[0] and self._on.get(name, False):
+                stretch = int(np.argmin(on)) if not on.all() else len(on)
+                cov[clock][:stretch] += self._clocks[clock]
+            self._on[name] = bool(on[-1])
+            self._clocks[clock] = float(cov[clock][-1] + 0.5 * block.dt_s[-1]) if on[-1] else 0.0
         for name, (term, _) in self._plan.model.lags.items():
             if term.key.battery in self._plan.batteries:
                 self._carry_lag(name, cov)
@@ -348,51 +363,3 @@ class _Carry:
         self._lags[name] = time_s[-1], signal[-1], late[-1]
         if before is not None:  # in the first block the formula sees to it, whatever its parameters
             cov[name] = late
-
-    def _carry_component(self, name: str, cov: dict[str, Any], block: Run) -> None:
-        clock = clock_of(name)
-        on = np.asarray(cov[name]) > 0.0
-        if clock in block.columns or clock not in cov:
-            return
-        if on[0] and self._on.get(name, False):
-            stretch = int(np.argmin(on)) if not on.all() else len(on)
-            cov[clock][:stretch] += self._clocks[clock]
-        self._on[name] = bool(on[-1])
-        self._clocks[clock] = float(cov[clock][-1] + 0.5 * block.dt_s[-1]) if on[-1] else 0.0
-
-
-def _of_scheme(scheme: Any, units: Mapping[str, float]) -> Array:
-    """Units that are on under the scheme of each row, shape (n,); none where that is not told."""
-    labels = Labels.of(np.asarray(scheme)) if not isinstance(scheme, Labels) else scheme
-    known = np.array([*(units.get(name, 0.0) for name in labels.names), 0.0])
-    return np.asarray(np.nan_to_num(known)[labels.codes])
-
-
-def _moves(cov: Mapping[str, Any], row: int) -> bool:
-    """Whether the robot moves in one row."""
-    motion = ("moving", "speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
-    return bool(is_moving({name: np.asarray(cov[name])[row] for name in motion if name in cov}))
-
-
-def _acceleration(block: Run, before: Run | None, after: Run | None, noise_m_s: float) -> Array:
-    rows = 2 * max(2, int(WIDTHS_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
-    tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
-    parts = [(table.time_s[cut], table.columns["speed_m_s"][cut]) for table, cut in tables if table is not None]
-    time_s = np.concatenate([part[0] for part in parts])
-    speed_m_s = np.concatenate([np.asarray(part[1], dtype=float) for part in parts])
-    skipped = 0 if before is None else len(before.time_s[-rows:])
-    return acceleration(speed_m_s, time_s, noise_m_s)[skipped : skipped + len(block.time_s)]
-
-
-def _with_neighbours(blocks: Iterable[Run]) -> Iterator[tuple[Run, Run | None, Run | None]]:
-    previous: Run | None = None
-    current: Run | None = None
-    for block in blocks:
-        if len(block.time_s) == 0:
-            continue
-        if current is not None:
-            yield current, previous, block
-            previous = current
-        current = block
-    if current is not None:
-        yield current, previous, None

@@ -106,7 +106,13 @@ class Run:
 
     def covariates(self, batteries: Collection[str] | None = None) -> dict[str, ColumnData]:
         """Columns that a model may depend on: all but time and the power, current and energy of its batteries."""
-        return {name: data for name, data in self.columns.items() if not _is_measurement(name, batteries)}
+        found = {}
+        for name, data in self.columns.items():
+            column = column_of(name)
+            others = column is not None and batteries is not None and column[1] not in batteries
+            if column is None or column[0].name not in _MEASURED or (others and name != "time_s"):
+                found[name] = data
+        return found
 
     def rows_where(self, keep: NDArray[np.bool_] | slice) -> Run:
         """The same run with only the chosen rows; each keeps the time that it stood for."""
@@ -118,13 +124,6 @@ class Run:
             fresh={name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
             rates={name: rate[keep] for name, rate in self.rates.items()},
         )
-
-
-def _is_measurement(name: str, batteries: Collection[str] | None) -> bool:
-    found = column_of(name)
-    if found is None or found[0].name not in _MEASURED:
-        return False
-    return name == "time_s" or batteries is None or found[1] in batteries
 
 
 def row_durations(time_s: Array) -> Array:
@@ -230,20 +229,22 @@ def mended(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Run]]:
     for name in filter(is_switch, run.columns):
         state = run.number(name)
         if {*np.unique(state).tolist()} == {0.0, 1.0}:
-            yield (
-                f"{name} is 1 where it should be 0 (inverted?)",
-                replace(run, columns={**run.columns, name: 1.0 - state}),
-            )
+            inverted = replace(run, columns={**run.columns, name: 1.0 - state})
+            yield f"{name} is 1 where it should be 0 (inverted?)", inverted
     for name in ("speed_m_s", "slope_rad", "yaw_rate_rad_s", *(f"power_{battery}_w" for battery in run.power_w)):
-        if name in run.columns and (stretch := _standing(run.number(name))):
-            first, last = stretch
+        if name not in run.columns:
+            continue
+        # the longest stretch of one value, where it is much of the run
+        values = run.number(name)
+        starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+        lengths = np.diff(np.r_[starts, len(values)])
+        longest = int(np.argmax(lengths))
+        if STANDS * len(values) < lengths[longest] < 0.95 * len(values):
+            first, last = int(starts[longest]), int(starts[longest] + lengths[longest] - 1)
             keep = np.ones(run.rows, dtype=bool)
             keep[first : last + 1] = False
             since, till = run.time_s[first], run.time_s[last]
-            yield (
-                f"{name} stands at {run.number(name)[first]:.4g} from {since:.6g} to {till:.6g} s",
-                run.rows_where(keep),
-            )
+            yield f"{name} stands at {values[first]:.4g} from {since:.6g} to {till:.6g} s", run.rows_where(keep)
 
 
 _FACTORS: Mapping[str, Mapping[float, str]] = {
@@ -256,13 +257,3 @@ _FACTORS: Mapping[str, Mapping[float, str]] = {
     "yaw_rate_rad_s": {180.0 / np.pi: "is 57.3 times too large (degrees?)"},
     "accel_m_s2": {-1.0: "has the other sign", 9.81: "is 9.81 times too large (g?)"},
 }
-
-
-def _standing(values: Array) -> tuple[int, int] | None:
-    """First and last row of the longest stretch of one value, where it is much of the run."""
-    starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    lengths = np.diff(np.r_[starts, len(values)])
-    longest = int(np.argmax(lengths))
-    if not STANDS * len(values) < lengths[longest] < 0.95 * len(values):
-        return None
-    return int(starts[longest]), int(starts[longest] + lengths[longest] - 1)
