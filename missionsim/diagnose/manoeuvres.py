@@ -38,17 +38,12 @@ class Part:
 
     def to_json(self) -> Json:
         """The part as plain data; what is missing stays as it usually is in the logs."""
+        yaw = self.yaw_rates_rad_s
         data: dict[str, Any] = {"seconds": self.seconds, "speeds_m_s": list(self.speeds_m_s)}
-        if self.yaw_rates_rad_s:
-            data["yaw_rate_rad_s"] = max(self.yaw_rates_rad_s)
-            data["yaw_rates_rad_s"] = list(self.yaw_rates_rad_s)
-        else:
-            data["yaw_rate_rad_s"] = 0.0
-        data["stops"] = self.stops
-        if self.slope_rad is not None:
-            data["slope_rad"] = self.slope_rad
-        on = {name[3:]: value for name, value in self.set.items() if name.startswith("on_")}
+        data |= {"yaw_rate_rad_s": max(yaw), "yaw_rates_rad_s": list(yaw)} if yaw else {"yaw_rate_rad_s": 0.0}
+        data |= {"stops": self.stops} | ({} if self.slope_rad is None else {"slope_rad": self.slope_rad})
         data |= {name: value for name, value in self.set.items() if not name.startswith("on_")}
+        on = {name[3:]: value for name, value in self.set.items() if name.startswith("on_")}
         return data | ({"on": on} if on else {})
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.fit.parameters import ModelFit, fit_parameters
 from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, fitted_to, ranges_of, sd_on_other_logs
 from missionsim.runs.error import errors_of
 from missionsim.runs.run import Run
-
-if TYPE_CHECKING:
-    from missionsim.effects.model import ModelParameter, PowerModel
 
 
 @dataclass(frozen=True)
@@ -50,6 +47,16 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     model = build_power_model(spec)
     measured = list(dict.fromkeys(name for log in logs for name in log.power_w))
     wanted = measured if battery is None else [battery]
+    # what was fitted to other logs is known less well: see `sd_on_other_logs`
+    terms = []
+    for term in model.terms:
+        aged = dict(term.parameters)
+        for name, own in term.parameters.items():
+            source = spec.sources.get(own.source, own.source)
+            if own.value != 0.0 and not fitted_to(source, logs):
+                aged[name] = replace(own, sd=sd_on_other_logs(own.prior_sd, source) * abs(own.value))
+        terms.append(replace(term, parameters=aged))
+    aged_model = replace(model, terms=tuple(terms))
     fits: list[ModelFit] = []
     remarks: list[str] = []
     refused: list[InputError] = []
@@ -61,7 +68,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
             )
             continue
         try:
-            fit = fit_parameters(_aged(model, spec.sources, logs), logs, name)
+            fit = fit_parameters(aged_model, logs, name)
         except InputError as error:
             refused.append(error)
             remarks.append(f"battery {name} was not fitted: {' '.join(str(error).split())}")
@@ -87,18 +94,3 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     fits = [replace(fit, model=written, after=after) for fit, after in zip(fits, afters, strict=True)]
     text = editing.set_source(CALIBRATION, fitted_source(logs), ranges_of(logs)).text
     return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))
-
-
-def _aged(model: PowerModel, sources: Mapping[str, str], logs: Sequence[Run]) -> PowerModel:
-    """The model with what was fitted to other logs known less well; see `sd_on_other_logs`."""
-
-    def aged(parameter: ModelParameter) -> ModelParameter:
-        source = sources.get(parameter.source, parameter.source)
-        if parameter.value == 0.0 or fitted_to(source, logs):
-            return parameter
-        return replace(parameter, sd=sd_on_other_logs(parameter.prior_sd, source) * abs(parameter.value))
-
-    terms = tuple(
-        replace(term, parameters={name: aged(p) for name, p in term.parameters.items()}) for term in model.terms
-    )
-    return replace(model, terms=terms)

@@ -65,7 +65,14 @@ class Others:
 
     def learn(self) -> None:
         """What all say that are left, and how far each is from what the rest says."""
-        self.expected = [self.of_others(i) for i in range(len(self.runs))]
+        self.expected: list[Array] = []
+        """Coefficients from all runs but one, shape (p,)."""
+        for number in range(len(self.runs)):
+            rest = self.left & (np.arange(len(self.runs)) != number)
+            gram, towards = self.gram[rest].sum(axis=0), self.towards[rest].sum(axis=0)
+            size = np.sqrt(np.maximum(np.diag(gram), 1e-12))
+            scaled = gram / np.outer(size, size) + 1e-3 * np.eye(len(size))
+            self.expected.append(np.asarray(np.linalg.solve(scaled, towards / size) / size))
         left = [gap - rows @ own for (rows, gap), own in zip(self.designs, self.expected, strict=True)]
         self.scatter = np.array([float(np.std(one)) for one in left])
 
@@ -96,14 +103,6 @@ class Others:
                 gap[group] -= gap[group].mean()
         return rows, gap
 
-    def of_others(self, number: int) -> Array:
-        """Coefficients from all runs but one, shape (p,)."""
-        rest = self.left & (np.arange(len(self.runs)) != number)
-        gram, towards = self.gram[rest].sum(axis=0), self.towards[rest].sum(axis=0)
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-12))
-        scaled = gram / np.outer(size, size) + 1e-3 * np.eye(len(size))
-        return np.asarray(np.linalg.solve(scaled, towards / size) / size)
-
     def residual(self, number: int, driven: Driven) -> float:
         """Scatter of a run, as logged or mended, about what the others say of it [W]."""
         rows, gap = self.centred(driven, self.columns(driven))
@@ -117,28 +116,21 @@ class Others:
         """What model and others say of a run but for a constant [W], shape (n,)."""
         return np.asarray(self.runs[number].model_w[self.battery] + self.rows[number] @ self.expected[number])
 
-    def gains(self, number: int) -> float:
-        """Largest logarithm of the gain by which the other runs that are left differ from what is said of them."""
-        said = {i: self.said(i) for i in np.flatnonzero(self.left).tolist() if i != number}
-        measured = {i: self.runs[i].measured_w[self.battery] for i in said}
-        gains = [float(np.polyfit(own, measured[i], 1)[0]) for i, own in said.items() if np.ptp(own) > 0.0]
-        return max((abs(float(np.log(max(gain, 1e-3)))) for gain in gains), default=0.0)
-
     def late(self, number: int) -> int:
         """Rows by which a run's power comes after what the others say of it."""
         lags, along = correlation(self.runs[number].measured_w[self.battery], self.said(number))
         return int(lags[int(np.argmax(along))])
 
-    def follows(self, number: int) -> float:
-        """Part of the variance of a run's power that what the others say of it explains."""
-        measured, said = self.runs[number].measured_w[self.battery], self.said(number)
-        return float(np.corrcoef(measured, said)[0, 1]) ** 2 if np.ptp(measured) > 0.0 < np.ptp(said) else 0.0
-
 
 def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
     """Runs that scatter more than the others, and what explains it; `others` learns from the rest alone then."""
     found: dict[str, str] = {}
-    follows = np.array([others.follows(i) for i in range(len(others.runs))])
+    # part of the variance of each run's power that what the others say of it explains
+    follows = np.zeros(len(others.runs))
+    for i, one in enumerate(others.runs):
+        measured, said = one.measured_w[others.battery], others.said(i)
+        if np.ptp(measured) > 0.0 < np.ptp(said):
+            follows[i] = float(np.corrcoef(measured, said)[0, 1]) ** 2
     for i in np.argsort(-others.scatter).tolist():
         # the roughest first, and what it says taken from what is held against the next
         if others.left.sum() < FEWEST_LEVELS or others.scatter[i] <= ROUGHER * np.median(others.scatter[others.left]):
@@ -188,8 +180,14 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
     tried: list[tuple[float, str]] = []
     measured, said = one.measured_w[battery], others.said(number)
     scale, offset = np.polyfit(said, measured, 1).tolist() if np.ptp(said) > 0.0 else (1.0, 0.0)
-    # a load that is carried scales what is needed in motion, a meter what is needed at rest too
-    alone = scale > 0.0 and abs(np.log(scale)) > max(0.1, GAINS * others.gains(number))
+    # a load that is carried scales what is needed in motion, a meter what is needed at rest too; the other runs that
+    # are left have a gain of their own
+    most = 0.0
+    for i in np.flatnonzero(others.left).tolist():
+        if i != number and np.ptp(own := others.said(i)) > 0.0:
+            gain = float(np.polyfit(own, others.runs[i].measured_w[battery], 1)[0])
+            most = max(most, abs(float(np.log(max(gain, 1e-3)))))
+    alone = scale > 0.0 and abs(np.log(scale)) > max(0.1, GAINS * most)
     if alone and abs(offset) < 0.3 * abs(scale - 1.0) * float(np.mean(said)):
         evened = replace(one, measured_w={**one.measured_w, battery: measured / scale})
         tried.append(
@@ -268,7 +266,10 @@ def offsets(others: Others) -> dict[str, str]:
                 beside[i, moving] = np.average([one[0] for one in shifts], weights=[one[1] for one in shifts])
     if np.isnan(beside[:, 1]).sum() > 0.5 * len(runs):
         return {}
-    towards = np.array([_towards_rest(one, gap) for one, gap in zip(runs, gaps, strict=True)])
+    # what a straight line through measured less expected power over the speed comes to at rest
+    speeds = [np.abs(np.asarray(one.covariates["speed_m_s"])) for one in runs]
+    pairs = zip(speeds, gaps, strict=True)
+    towards = np.array([float(np.polyfit(v, gap, 1)[1]) if np.ptp(v) > 0.0 else np.nan for v, gap in pairs])
     beside = np.column_stack([beside, towards - np.median(towards)])
     known = [np.abs(column[np.isfinite(column)]) for column in beside.T]
     scatter = [1.4826 * float(np.median(one)) if len(one) >= FEWEST_LEVELS - 1 else np.inf for one in known]
@@ -315,12 +316,6 @@ def _spread(driven: Driven, gap: Array) -> float:
     """How far measured less expected power scatters in motion; what a model far from right leaves is no offset."""
     own = gap[np.asarray(is_moving(driven.covariates), dtype=bool) & np.ones(len(gap), dtype=bool)]
     return 1.4826 * float(np.median(np.abs(own - np.median(own)))) if len(own) else 0.0
-
-
-def _towards_rest(driven: Driven, gap: Array) -> float:
-    """What a straight line through measured less expected power over the speed comes to at rest."""
-    speed = np.abs(np.asarray(driven.covariates["speed_m_s"]))
-    return float(np.polyfit(speed, gap, 1)[1]) if np.ptp(speed) > 0.0 else float("nan")
 
 
 def _explained(driven: Driven, runs: Sequence[Driven], battery: str, offset: float) -> bool:

@@ -116,34 +116,26 @@ def may_be_cause(name: str) -> bool:
 def repeated(runs: Sequence[Mapping[str, object]]) -> dict[str, str]:
     """Columns beyond the glossary that are a straight line of one in it over all runs (km/h, rpm), and of which.
     `runs`: covariates of each run, arrays of shape (n,)."""
-    shared = sorted(set.intersection(*(set(run) for run in runs)))
-    rows = {name for name in shared if all(_is_number(run[name], np.asarray(run["time_s"]).shape) for run in runs)}
     every = 1 + sum(np.asarray(run["time_s"]).size for run in runs) // _ROWS
-
-    def values(name: str) -> Array:
-        return np.concatenate([np.asarray(run[name], dtype=float) for run in runs])[::every]
-
-    theirs = {name for name in rows if name in COVARIATES or name == "time_s" or _is_quantity(name)}
-    known = [(name, values(name)) for name in sorted(theirs)]
-    found = {}
-    for name in sorted(rows - theirs):
-        if is_switch(name) or not may_be_cause(name):
+    theirs: dict[str, Array] = {}
+    others: dict[str, Array] = {}
+    for name in sorted(set.intersection(*(set(run) for run in runs))):
+        data = [np.asarray(run[name]) for run in runs if not isinstance(run[name], Labels)]
+        shapes = [np.asarray(run["time_s"]).shape for run in runs]
+        if [one.shape for one in data] != shapes or any(one.dtype.kind not in "fiub" for one in data):
             continue
-        own = values(name)
-        for other, data in known:
-            if abs(_correlation(own, data)) > TWIN or abs(_correlation(own, np.abs(data))) > TWIN:
+        column = column_of(name)
+        if name in COVARIATES or name == "time_s" or (column is not None and column[0].kind == "number"):
+            theirs[name] = np.concatenate([one.astype(float) for one in data])[::every]
+        elif may_be_cause(name) and not is_switch(name):
+            others[name] = np.concatenate([one.astype(float) for one in data])[::every]
+    found = {}
+    for name, own in others.items():
+        for other, known in theirs.items():
+            if any(abs(_correlation(own, one)) > TWIN for one in (known, np.abs(known))):
                 found[name] = other
                 break
     return found
-
-
-def _is_number(value: object, shape: tuple[int, ...]) -> bool:
-    return not isinstance(value, Labels) and np.asarray(value).shape == shape and np.asarray(value).dtype.kind in "fiub"
-
-
-def _is_quantity(name: str) -> bool:
-    column = column_of(name)
-    return column is not None and column[0].kind == "number"
 
 
 def _correlation(a: Array, b: Array) -> float:

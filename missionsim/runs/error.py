@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from missionsim.runs.run import Run
 FIRST_PROGRESS = 0.01
 """Progress at which the error curve begins: before it a few joules stand above and below the fraction bar."""
 PROGRESS_POINTS = 397
+_SUMS = ("seconds", "measured_j", "model_j", "square_w2s")
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,7 @@ class RunError:
         return cls(run, float(dt_s.sum()), measured, measured - float(gap.sum()), square)
 
     def __add__(self, other: RunError) -> RunError:
-        return replace(
-            self,
-            seconds=self.seconds + other.seconds,
-            measured_j=self.measured_j + other.measured_j,
-            model_j=self.model_j + other.model_j,
-            square_w2s=self.square_w2s + other.square_w2s,
-        )
+        return RunError(self.run, *(getattr(self, name) + getattr(other, name) for name in _SUMS))
 
     @property
     def energy_measured_wh(self) -> float:
@@ -86,8 +81,7 @@ class Errors:
     @property
     def total(self) -> RunError:
         """All runs as one."""
-        first, *rest = self.runs
-        return sum(rest, start=replace(first, run=""))
+        return sum(self.runs, start=RunError("", 0.0, 0.0, 0.0, 0.0))
 
     @property
     def energy_error_pct(self) -> float:
