@@ -113,8 +113,36 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
+    from missionsim.effects.library import get_effect
+
     subject = Subject.of(robot)
-    _refuse(subject, robot, effect, battery)
+    if battery not in robot.batteries:
+        raise InputError.single(
+            f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
+        )
+    family, colon, component = effect.partition(":")
+    if colon and family.startswith("component_") and component not in robot.components:
+        raise InputError.single(
+            f"the robot has no component '{component}'",
+            got=effect,
+            allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
+            hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
+        )
+    own = {e.id for e in subject.own.get(battery, ())}
+    for spec in robot.effects:
+        if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
+            raise InputError.single(
+                f"the robot file already has '{effect}' on battery '{battery}'",
+                got=effect,
+                allowed="missionsim calibrate --robot refits it",
+            )
+    if effect not in own and get_effect(effect, ("",)).execution:
+        raise InputError.single(
+            f"'{effect}' is how the robot drives, not what it draws: write it under 'behaviour' of the mission or of a "
+            "scheme",
+            got=effect,
+            allowed="effects that add power",
+        )
     seen = examine(subject, split, battery, settings)
     features = seen.features
     if effect in features.untestable:
@@ -215,38 +243,6 @@ def write(
         editing.add_effect(entry | {"parameters": parameters, "origin": origin})
     editing.set_meter(models.battery, fitted.model.meter(models.battery))
     return editing.set_source(CALIBRATION, fitted_source(split.train)).text, base
-
-
-def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> None:
-    from missionsim.effects.library import get_effect
-
-    if battery not in robot.batteries:
-        raise InputError.single(
-            f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
-        )
-    family, colon, component = effect.partition(":")
-    if colon and family.startswith("component_") and component not in robot.components:
-        raise InputError.single(
-            f"the robot has no component '{component}'",
-            got=effect,
-            allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
-            hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
-        )
-    own = {e.id for e in subject.own.get(battery, ())}
-    for spec in robot.effects:
-        if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
-            raise InputError.single(
-                f"the robot file already has '{effect}' on battery '{battery}'",
-                got=effect,
-                allowed="missionsim calibrate --robot refits it",
-            )
-    if effect not in own and get_effect(effect, ("",)).execution:
-        raise InputError.single(
-            f"'{effect}' is how the robot drives, not what it draws: write it under 'behaviour' of the mission or of a "
-            "scheme",
-            got=effect,
-            allowed="effects that add power",
-        )
 
 
 def _supported(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], str]:

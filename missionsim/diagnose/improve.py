@@ -145,8 +145,16 @@ class Rounds:
             self.reclock()
             if self.state.taken:
                 states.append((self.state.models.of_others(self.state.taken), self.state))
-            if turn == MOST_ROUNDS or not (self.of_library() or self.of_law() or self.of_aside(states)):
+            if turn == MOST_ROUNDS:
                 break
+            if self.of_library() or self.of_law():
+                continue
+            # what was put aside, where it predicts other runs better than all states that came instead
+            aside, self.aside = self.aside, None
+            least = (1.0 - CLEARLY) * min((error for error, _ in states), default=0.0)
+            if aside is None or aside.models.of_others(aside.taken) > least:
+                break
+            self.state = aside
         best = min(states, key=lambda one: one[0], default=None)
         # what came later, or was looked for once more, may predict other runs less well
         return best[1] if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0] else self.state
@@ -192,14 +200,6 @@ class Rounds:
             self.state = state
             self.settle(*self.together(state, taken))
         return bool(new)
-
-    def of_aside(self, states: Sequence[tuple[float, State]]) -> bool:
-        """Go on from what was put aside; whether it predicts other runs better than all states that came instead."""
-        aside, self.aside = self.aside, None
-        if aside is None or aside.models.of_others(aside.taken) > (1.0 - CLEARLY) * min(error for error, _ in states):
-            return False
-        self.state = aside
-        return True
 
     def of_law(self) -> bool:
         """Add a law, once the library has no more; whether one was left to try."""

@@ -136,7 +136,14 @@ def _fit(
             names = [
                 n for n in whole.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)
             ]
-            alike = _alike(whole, [n for n in names if n not in added], prior_sd)
+            # columns that are multiples of another's, which is less well known and takes their part
+            unit = {n: x / max(float(np.linalg.norm(x)), 1e-300) for n, x in zip(whole.names, whole.x.T, strict=True)}
+            order = sorted((n for n in names if n not in added), key=lambda name: -prior_sd.get(name, 0.0))
+            alike: dict[str, str] = {}
+            for i, name in enumerate(order):
+                known = (o for o in order[:i] if o not in alike)
+                if twin := next((o for o in known if abs(float(unit[name] @ unit[o])) > 1.0 - ALIKE), None):
+                    alike[name] = twin
             names = [n for n in names if n not in alike]
             if not names:
                 return FinalFit(model, {}), None
@@ -170,19 +177,6 @@ def _fit(
         else:
             ready = ready.at(model)
     return FinalFit(model, nought | told, alike), system
-
-
-def _alike(system: _System, names: Sequence[str], prior_sd: Mapping[str, float]) -> dict[str, str]:
-    """Parameters whose columns are multiples of another's, which is less well known and takes their part."""
-    found: dict[str, str] = {}
-    order = sorted(names, key=lambda name: -prior_sd.get(name, 0.0))
-    unit = {name: system.x[:, system.names.index(name)] for name in names}
-    unit = {name: x / max(float(np.linalg.norm(x)), 1e-300) for name, x in unit.items()}
-    for i, name in enumerate(order):
-        twin = next((o for o in order[:i] if o not in found and abs(float(unit[name] @ unit[o])) > 1.0 - ALIKE), None)
-        if twin is not None:
-            found[name] = twin
-    return found
 
 
 def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str, float]]:

@@ -50,11 +50,8 @@ class Motion:
 
     def add(self, other: Motion) -> None:
         """Add the sums of another stretch."""
-        self.distance_m += other.distance_m
-        self.driving_s += other.driving_s
-        self.turning_s += other.turning_s
-        self.standing_s += other.standing_s
-        self.square_m2_s += other.square_m2_s
+        for name in ("distance_m", "driving_s", "turning_s", "standing_s", "square_m2_s"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
         for battery, joules in other.energy_j.items():
             self.energy_j[battery] = self.energy_j.get(battery, 0.0) + joules
 
