@@ -207,9 +207,47 @@ class PowerModel:
         `battery`: only this battery. Gives battery → term key → power [W]. Raises InputError: where a term needs a
         covariate that is not there.
         """
-        full = self.complete(cov, values)
-        wanted = self.batteries if battery is None else (battery,)
-        return {name: self._evaluate_battery(name, full, values or {}) for name in wanted}
+        full, values = self.complete(cov, values), values or {}
+        found: dict[str, dict[TermKey, Value]] = {}
+        for name in self.batteries if battery is None else (battery,):
+            own_regeneration = f"{name}/regeneration"
+            given = {**full, "regeneration": values[own_regeneration]} if own_regeneration in values else full
+            powers: dict[TermKey, Any] = {}
+            found[name] = powers
+            drive: Any = 0.0
+            relieving: dict[TermKey, Any] = {}
+            parts: list[Any] = []
+            back: list[Any] = []
+            for term in self.of(name):
+                effect = term.effect
+                if relieving and effect.stage > 1:
+                    relieved = relieved_powers([*relieving.values()], drive, back, parts)
+                    powers.update(zip(relieving, relieved, strict=True))
+                    relieving = {}
+                if any(need not in given for need in effect.needs):
+                    raise InputError(self.lacking(given, name))
+                own = self._values(term, values)
+                load = {**given, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else given
+                if effect.lags:
+                    known = ((lag.text, _lag_name(term, lag)) for lag in effect.lags)
+                    load = {**load, **{text: given[lag] for text, lag in known if lag in given}}
+                power: Any = effect.power(load, own)
+                scale: Any = term.scale
+                if values and term.link[0] in values:
+                    scale = scale * term.link[1] / values[term.link[0]]
+                if np.ndim(scale) or scale != 1.0:
+                    power = power * scale
+                powers[term.key] = power
+                if term.limited:
+                    relieving[term.key] = power
+                    parts.append(1.0 if effect.relief is None else effect.relief(own))
+                    back.append(own.get(effect.back, number(given, "regeneration")))
+                elif effect.drive:
+                    drive = drive + (np.maximum(power, 0.0) if effect.back else power)
+            if relieving:
+                relieved = relieved_powers([*relieving.values()], drive, back, parts)
+                powers.update(zip(relieving, relieved, strict=True))
+        return found
 
     def complete(self, cov: Covariates, values: Mapping[str, Value] | None = None) -> Columns:
         """`cov` with the robot's own constants, those of `values` if they are there, and the total mass."""
@@ -219,44 +257,6 @@ class PowerModel:
         if "mass_kg" not in full:
             full["mass_kg"] = full.get("body_mass_kg", 1.0) + number(full, "payload_kg")
         return full
-
-    def _evaluate_battery(self, battery: str, cov: dict[str, Any], values: Mapping[str, Any]) -> dict[TermKey, Any]:
-        powers: dict[TermKey, Any] = {}
-        drive: Any = 0.0
-        relieving: dict[TermKey, Any] = {}
-        parts: list[Any] = []
-        back: list[Any] = []
-        if f"{battery}/regeneration" in values:
-            cov = {**cov, "regeneration": values[f"{battery}/regeneration"]}
-        for term in self.of(battery):
-            effect = term.effect
-            for name in effect.needs:
-                if name not in cov:
-                    raise InputError(self.lacking(cov, battery))
-            if relieving and effect.stage > 1:
-                powers.update(zip(relieving, relieved_powers([*relieving.values()], drive, back, parts), strict=True))
-                relieving = {}
-            own = self._values(term, values)
-            load = {**cov, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else cov
-            if effect.lags:
-                told = {lag.text: cov[name] for lag in effect.lags if (name := _lag_name(term, lag)) in cov}
-                load = {**load, **told}
-            power = effect.power(load, own)
-            scale = term.scale
-            if values and term.link[0] in values:
-                scale = scale * term.link[1] / values[term.link[0]]
-            if np.ndim(scale) or scale != 1.0:
-                power = power * scale
-            powers[term.key] = power
-            if term.limited:
-                relieving[term.key] = power
-                parts.append(1.0 if effect.relief is None else effect.relief(own))
-                back.append(own.get(effect.back, number(cov, "regeneration")))
-            elif effect.drive:
-                drive = drive + (np.maximum(power, 0.0) if effect.back else power)
-        if relieving:
-            powers.update(zip(relieving, relieved_powers([*relieving.values()], drive, back, parts), strict=True))
-        return powers
 
     def _values(self, term: Term, values: Mapping[str, Any]) -> dict[str, Any]:
         if not values:

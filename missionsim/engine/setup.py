@@ -46,10 +46,19 @@ def build_battery(
     The capacity of an `equivalent_circuit` is the energy under its open-circuit curve, times the charge, times the
     ageing factor; a capacity in Wh becomes a charge through the nominal voltage, or the mean of the curve.
     """
+
+    def at_temperature(what: str) -> float:
+        """What a curve over temperature gives; 1 without a curve or where no temperature is known."""
+        curve = getattr(spec.over_temperature, what, None)
+        if curve is None or temperature_c is None:
+            return 1.0
+        degrees, parts = (np.array([number(point[i]) for point in curve]) for i in (0, 1))
+        made: Any = np.asarray(np.interp(temperature_c, degrees, parts))
+        return float(made) if made.ndim == 0 else made  # of many runs, arrays
+
     factor = spec.nominal_voltage.value if spec.capacity.unit == "C" and spec.nominal_voltage else 1.0
     new_j = number(spec.capacity) * factor
-    over = spec.over_temperature
-    aged = number(spec.model.ageing) * (1.0 if over is None else _at(over.capacity, temperature_c, number))
+    aged = number(spec.model.ageing) * at_temperature("capacity")
     steps = _taper(spec, number)
     if not isinstance(spec.model, CircuitSpec):
         capacity = new_j * aged
@@ -67,21 +76,12 @@ def build_battery(
         initial,
         charge * aged,
         (states, volts),
-        number(circuit.resistance) * (1.0 if over is None else _at(over.resistance, temperature_c, number)),
+        number(circuit.resistance) * at_temperature("resistance"),
         number(circuit.peukert),
         number(circuit.rated_time),
         0.0 if circuit.cut_off is None else number(circuit.cut_off),
         steps,
     )
-
-
-def _at(curve: Any, temperature_c: float | None, number: Callable[[Parameter], float]) -> Any:
-    """What a curve over temperature gives; 1 without a curve or where no temperature is known."""
-    if curve is None or temperature_c is None:
-        return 1.0
-    degrees, parts = (np.array([number(point[i]) for point in curve]) for i in (0, 1))
-    made = np.asarray(np.interp(temperature_c, degrees, parts))
-    return float(made) if made.ndim == 0 else made
 
 
 def _taper(spec: BatterySpec, number: Callable[[Parameter], float]) -> tuple[tuple[float, float], ...]:
@@ -255,9 +255,3 @@ def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo], first: i
     names = list(dict.fromkeys(segments[i].label or segments[i].name for i in ordered))
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     return f"segment '{names[0]}'{more}"
-
-
-def never_on(line: Timeline) -> tuple[str, ...]:
-    """Components that were neither on nor starting at any time."""
-    names = [name.removeprefix("starting_") for name in line.columns if name.startswith("starting_")]
-    return tuple(n for n in names if not np.any(line.columns[f"on_{n}"]) and not np.any(line.columns[f"starting_{n}"]))

@@ -12,13 +12,12 @@ from typing import cast
 import numpy as np
 
 from missionsim.effects.model import PowerModel, TermKey
-from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, DrivenEdge, RunResult, edges_driven
 from missionsim.engine.reserve import Homing, home_energies
-from missionsim.engine.setup import build_battery, check_covariates, doubts, never_on, split_values
+from missionsim.engine.setup import build_battery, check_covariates, doubts, split_values
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.battery import BatterySpec
@@ -246,8 +245,8 @@ class RunSetup:
             home = (yield from home_energies(world, self.homing, self.model, self.drawn, only_last=True))[-1]
         results = {}
         reasons = [world.reason] if world.reason else []
-        for name, battery in self.batteries.items():
-            results[name] = made = self._battery_result(name, battery, world, whole, alarms, line, energies, home)
+        for name in self.batteries:
+            results[name] = made = self._battery_result(name, world, whole, alarms, energies[name], home.get(name))
             if made.empty_at_s is None and world.completed:
                 if made.charge_left_wh < made.reserve_required_wh - RESERVE_TOLERANCE * made.capacity_wh:
                     reasons.append(f"battery '{name}' ends below its reserve")
@@ -260,7 +259,8 @@ class RunSetup:
             places = {name: mission.robot.document.place(("batteries", name)) for name in self.batteries}
             file = str(mission.path)
             warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places, file)
-            off = never_on(line)
+            names, on = (tuple(self.names), line.columns)
+            off = tuple(n for n in names if not (np.any(on[f"on_{n}"]) or np.any(on[f"starting_{n}"])))
         return RunResult(
             mission=mission.name,
             robot=mission.robot.name,
@@ -287,18 +287,15 @@ class RunSetup:
     def _battery_result(
         self,
         name: str,
-        battery: Battery,
         world: World,
         whole: World,
         alarms: list[Alarm],
-        line: Timeline,
-        energies: Mapping[str, Mapping[TermKey, Array]],
-        home: Mapping[str, float | None],
+        terms: Mapping[TermKey, Array],
+        home_wh: float | None,
     ) -> BatteryResult:
-        meter = world.meter
-        cells = [math.fsum(joules.tolist()) for joules in energies[name].values()]
+        battery, meter = self.batteries[name], world.meter
+        cells = [math.fsum(joules.tolist()) for joules in terms.values()]
         used = math.fsum(cells)
-        capacity = battery.capacity_j
         initial = float(battery.charge_j(battery.initial))
         left = float(battery.charge_j(meter.state[name]))
         loads = [batch.loads[name] for batch in meter.batches]
@@ -316,22 +313,21 @@ class RunSetup:
             whole = world
         lowest = min((float(np.min(battery.charge_j(b.states[name]))) for b in whole.meter.batches), default=initial)
         if audit > MOST_AUDIT_ERROR:
-            raise AuditError(name, audit, meter.batches, energies[name])
-        way = home.get(name)
+            raise AuditError(name, audit, meter.batches, terms)
         duration = float(world.env.now)
         return BatteryResult(
             name=name,
             energy_wh=used / J_PER_WH,
             mean_power_w=used / duration if duration else 0.0,
-            capacity_wh=capacity / J_PER_WH,
+            capacity_wh=battery.capacity_j / J_PER_WH,
             initial_wh=initial / J_PER_WH,
             charged_wh=charged / J_PER_WH,
             charge_left_wh=left / J_PER_WH,
             charge_left_fraction=meter.state[name] / battery.full,
             internal_loss_wh=loss / J_PER_WH,
             reserve_required_wh=float(battery.charge_j(battery.full * self.required[name])) / J_PER_WH,
-            home_wh=way,
-            reserve_wh=left / J_PER_WH - (way or 0.0),
+            home_wh=home_wh,
+            reserve_wh=left / J_PER_WH - (home_wh or 0.0),
             empty_at_s=None if empty is None else empty.time_s,
             empty_in_segment="" if empty is None else world.segments[empty.segment].name,
             deficit_wh=max(0.0, -lowest) / J_PER_WH,
