@@ -259,8 +259,8 @@ class RunSetup:
             places = {name: mission.robot.document.place(("batteries", name)) for name in self.batteries}
             file = str(mission.path)
             warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places, file)
-            names, on = (tuple(self.names), line.columns)
-            off = tuple(n for n in names if not (np.any(on[f"on_{n}"]) or np.any(on[f"starting_{n}"])))
+            on = line.columns  # none where the mission takes no time
+            off = tuple(n for n in self.names if on and not (np.any(on[f"on_{n}"]) or np.any(on[f"starting_{n}"])))
         return RunResult(
             mission=mission.name,
             robot=mission.robot.name,
