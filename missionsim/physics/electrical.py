@@ -23,11 +23,6 @@ def warmup_power(units_on: Value, on_time_s: Value, k: Value, tau_s: Value) -> V
     return k * np.exp(-f64(on_time_s) / tau_s) * (f64(units_on) > 0)
 
 
-def conversion_loss(load_w: Value, k: Value) -> Value:
-    """Ohmic loss of converters and wiring, ``k P²`` of the load on a battery (k in 1/W)."""
-    return k * np.square(load_w)
-
-
 def resistance_loss(load_w: Value, voltage_v: Value, k: Value) -> Value:
     """Heat in the leads of a battery whose voltage is known, ``k (P/U)²`` of the load on it (k in ohm; Joule)."""
     return k * np.square(np.asarray(load_w) / voltage_v)
@@ -36,11 +31,6 @@ def resistance_loss(load_w: Value, voltage_v: Value, k: Value) -> Value:
 def cpu_frequency_power(load: Value, frequency_hz: Value, k: Value) -> Value:
     """Dynamic processor power, ``k u f³`` with voltage following frequency (k in W/Hz³; Jaiem 2021, section 3.2)."""
     return k * load * np.asarray(frequency_hz) ** 3
-
-
-def radio_power(distance_m: Value, k: Value) -> Value:
-    """Transmit power that follows the squared distance to the access point, ``k d²`` (k in W/m²)."""
-    return k * np.square(distance_m)
 
 
 def sensor_power(rate_hz: ArrayLike, *, per_rate_w_s: ArrayLike, constant_w: ArrayLike) -> Array:

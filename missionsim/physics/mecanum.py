@@ -41,22 +41,6 @@ def wheel_speeds(
     return speeds[0], speeds[1], speeds[2], speeds[3]
 
 
-def roller_speeds(
-    lateral_speed_m_s: ArrayLike, yaw_rate_rad_s: ArrayLike = 0.0, *, half_wheelbase_m: ArrayLike = 0.0
-) -> tuple[Array, Array, Array, Array]:
-    """Speeds at which the 45° rollers turn, m/s: √2 (v_y ± l_x ω); nought straight ahead."""
-    left = f64(lateral_speed_m_s)
-    turning = f64(half_wheelbase_m) * f64(yaw_rate_rad_s)
-    speeds = [np.sqrt(2.0) * (left + f * turning) for f in _FORE]
-    return speeds[0], speeds[1], speeds[2], speeds[3]
-
-
-def friction_power(speeds_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> Array:
-    """Power lost at the wheels' rolling contact and bearings, or in the rollers, W: Σ f |u_i|, `friction_n` = 4 f."""
-    total: Array = sum((np.abs(u) for u in speeds_m_s), start=np.zeros(()))
-    return f64(friction_n) / 4.0 * total
-
-
 def planar_kinetic_power(
     speed_m_s: Value,
     accel_m_s2: Value,
@@ -106,12 +90,6 @@ def wheel_forces(
     return forces[0], forces[1], forces[2], forces[3]
 
 
-def copper_loss(forces_n: tuple[Array, ...], *, resistance_w_n2: ArrayLike) -> Array:
-    """Loss in the windings, W: 4 R_c Σ g_i²; straight ahead this is R_c (F + M a)² with the total force (W/N²)."""
-    total: Array = sum((g**2 for g in forces_n), start=np.zeros(()))
-    return 4.0 * f64(resistance_w_n2) * total
-
-
 def _loaded(force_n: ArrayLike, mass_kg: ArrayLike, payload_kg: ArrayLike) -> Array:
     """A friction force of the empty robot under the weight that it carries."""
     return f64(force_n) * (f64(mass_kg) / (f64(mass_kg) - f64(payload_kg)))
@@ -126,9 +104,11 @@ def wheels_power(
     friction_n: Value,
     half_sum_m: Value,
 ) -> Array:
-    """`friction_power` of the wheels; `friction_n` of the empty robot, `mass_kg` with the payload."""
+    """Power lost at the wheels' rolling contact and bearings, W: Σ f |u_i|, `friction_n` = 4 f of the empty robot;
+    `mass_kg` with the payload."""
     speeds = wheel_speeds(speed_m_s, lateral_speed_m_s, yaw_rate_rad_s, half_sum_m=half_sum_m)
-    return friction_power(speeds, friction_n=_loaded(friction_n, mass_kg, payload_kg))
+    total: Array = sum((np.abs(u) for u in speeds), start=np.zeros(()))
+    return _loaded(friction_n, mass_kg, payload_kg) / 4.0 * total
 
 
 def rollers_power(
@@ -139,9 +119,10 @@ def rollers_power(
     friction_n: Value,
     half_wheelbase_m: Value,
 ) -> Array:
-    """`friction_power` of the rollers; see `wheels_power`."""
-    speeds = roller_speeds(lateral_speed_m_s, yaw_rate_rad_s, half_wheelbase_m=half_wheelbase_m)
-    return friction_power(speeds, friction_n=_loaded(friction_n, mass_kg, payload_kg))
+    """The same of the 45° rollers, which turn at √2 (v_y ± l_x ω); nought straight ahead."""
+    left, turning = f64(lateral_speed_m_s), f64(half_wheelbase_m) * f64(yaw_rate_rad_s)
+    total: Array = sum((np.abs(np.sqrt(2.0) * (left + f * turning)) for f in _FORE), start=np.zeros(()))
+    return _loaded(friction_n, mass_kg, payload_kg) / 4.0 * total
 
 
 def windings_power(
@@ -156,12 +137,20 @@ def windings_power(
     roller_friction_n: Value,
     resistance_w_n2: Value,
 ) -> Array:
-    """`copper_loss` of the `wheel_forces` that a motion takes; frictions of the empty robot."""
-    wheel, roller = (_loaded(force, mass_kg, payload_kg) for force in (wheel_friction_n, roller_friction_n))
-    motion = (speed_m_s, lateral_speed_m_s, accel_m_s2, lateral_accel_m_s2)
-    frictions = {"wheel_friction_n": wheel, "roller_friction_n": roller}
-    forces = wheel_forces(*motion, mass_kg=mass_kg, grade_force_n=grade_force(slope_rad, mass_kg), **frictions)
-    return copper_loss(forces, resistance_w_n2=resistance_w_n2)
+    """Loss in the windings, W: 4 R_c Σ g_i² of the `wheel_forces` that a motion takes, frictions of the empty robot;
+    straight ahead this is R_c (F + M a)² with the total force (W/N²)."""
+    forces = wheel_forces(
+        speed_m_s,
+        lateral_speed_m_s,
+        accel_m_s2,
+        lateral_accel_m_s2,
+        mass_kg=mass_kg,
+        wheel_friction_n=_loaded(wheel_friction_n, mass_kg, payload_kg),
+        roller_friction_n=_loaded(roller_friction_n, mass_kg, payload_kg),
+        grade_force_n=grade_force(slope_rad, mass_kg),
+    )
+    total: Array = sum((g**2 for g in forces), start=np.zeros(()))
+    return 4.0 * f64(resistance_w_n2) * total
 
 
 def pulse_power(accel_m_s2: Value, lateral_accel_m_s2: Value, pulse_w: Value) -> Array:

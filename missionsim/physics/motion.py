@@ -16,15 +16,17 @@ from missionsim.glossary import GRAVITY_M_S2
 from missionsim.physics import Array, Value, f64
 
 
-def rolling_power(speed_m_s: Value, k: Value) -> Value:
-    """Power against a constant friction force, ``k |v|`` (Jaiem 2021, Eq. 6, term C3 v; k in N). Also
-    `rolling_friction` and, per surface, `surface_rolling_resistance` of the library of effects."""
-    return k * np.abs(speed_m_s)
+def coulomb_power(rate: Value, k: Value) -> Value:
+    """Power against a constant friction, ``k |v|`` of a force (Jaiem 2021, Eq. 6, term C3 v; k in N) or ``k |ω|`` of
+    tyres that scrub in a turn (k in W s/rad)."""
+    return k * np.abs(rate)
 
 
-def viscous_power(speed_m_s: Value, k: Value) -> Value:
-    """Power against a force that grows with speed, ``k v²`` (Jaiem 2021, Eq. 6, term C2 v²; k in N s/m)."""
-    return k * np.square(speed_m_s)
+def quadratic_power(value: Value, k: Value) -> Value:
+    """``k x²``: friction that grows with speed (Jaiem 2021, Eq. 6, term C2 v²; k in N s/m), copper loss of the
+    accelerating torque (Eq. 5, term C1 a²; W s⁴/m²), ohmic loss of converters and wiring with the load on a battery
+    (1/W), a radio's sending power with the distance to its access point (W/m²)."""
+    return k * np.square(value)
 
 
 def drag_power(speed_m_s: Value, k: Value) -> Value:
@@ -37,19 +39,15 @@ def air_drag_power(speed_m_s: Value, density_kg_m3: Value, drag: Value, area_m2:
     return drag_power(speed_m_s, 0.5 * density_kg_m3 * drag * area_m2)
 
 
-def tyre_rolling_power(speed_m_s: Value, mass_kg: Value, coefficient: Value) -> Value:
-    """Rolling resistance, ``C_r m g |v|`` (rover paper, Eq. 4)."""
-    return rolling_power(speed_m_s, coefficient * (mass_kg * GRAVITY_M_S2))
+def tyre_power(rate: Value, mass_kg: Value, coefficient: Value) -> Value:
+    """Coulomb friction under the weight: rolling resistance, ``C_r m g |v|`` (rover paper, Eq. 4), and tyres that slide
+    sideways in a turn, ``l m g |ω|``, with l their friction times its lever arm."""
+    return coulomb_power(rate, coefficient * (mass_kg * GRAVITY_M_S2))
 
 
 def tyre_viscous_power(speed_m_s: Value, mass_kg: Value, coefficient: Value) -> Value:
     """Its part that grows with speed, ``C_v m g v²`` (rover paper, Eq. 4; C_v in s/m)."""
-    return viscous_power(speed_m_s, coefficient * (mass_kg * GRAVITY_M_S2))
-
-
-def tyre_scrub_power(yaw_rate_rad_s: Value, mass_kg: Value, lever_m: Value) -> Value:
-    """Tyres that slide sideways in a turn, ``l m g |ω|``, with l their friction times its lever arm (Coulomb)."""
-    return turning_power(yaw_rate_rad_s, lever_m * (mass_kg * GRAVITY_M_S2))
+    return quadratic_power(speed_m_s, coefficient * (mass_kg * GRAVITY_M_S2))
 
 
 def kinetic_power(speed_m_s: Value, accel_m_s2: Value, k: Value) -> Value:
@@ -85,16 +83,6 @@ def traction_copper_loss(
     return k * np.square(mass_kg * (direction * accel_m_s2 + resisting))
 
 
-def acceleration_loss(accel_m_s2: Value, k: Value) -> Value:
-    """Copper loss of the accelerating torque, ``k a²`` (Jaiem 2021, Eq. 5, term C1 a²; k in W s⁴/m²)."""
-    return k * np.square(accel_m_s2)
-
-
-def acceleration_linear(accel_m_s2: Value, k: Value) -> Value:
-    """``k a`` (Jaiem 2021, Eq. 5, term C5 a; k in W s²/m)."""
-    return k * accel_m_s2
-
-
 def grade_force(slope_rad: Value, mass_kg: Value) -> Value:
     """Component of the weight along the slope, ``m g sin θ`` in N, uphill positive."""
     return mass_kg * GRAVITY_M_S2 * np.sin(slope_rad)
@@ -114,11 +102,6 @@ def lifting_power(speed_m_s: Value, lateral_speed_m_s: Value, slope_rad: Value, 
 def payload_power(speed_m_s: Value, payload_kg: Value, k: Value) -> Value:
     """Rolling resistance of the load carried, ``k m_payload |v|`` (library effect `payload`; k in m/s²)."""
     return k * payload_kg * np.abs(speed_m_s)
-
-
-def turning_power(yaw_rate_rad_s: Value, k: Value) -> Value:
-    """Scrubbing of the tyres in a turn, ``k |ω|`` (library effect `turning_scrub`; k in W s/rad)."""
-    return k * np.abs(yaw_rate_rad_s)
 
 
 def cold_friction_power(speed_m_s: Value, moving_time_s: Value, k: Value, tau_s: Value) -> Value:

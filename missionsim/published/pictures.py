@@ -11,7 +11,7 @@ import numpy as np
 from missionsim.files import atomic_write
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, electrical
-from missionsim.published import hou2019, parasuraman2012, patrol, rover2025
+from missionsim.published import hou2019, parasuraman2012, patrol, reproduce, rover2025
 from missionsim.published.figures import ABOUT, load_figures, run, shipped_robot
 
 if TYPE_CHECKING:
@@ -91,9 +91,7 @@ def _sonar(figure: Figure) -> None:
 
 
 def _stretch(figure: Figure) -> None:
-    from missionsim.published.reproduce import stretch_test
-
-    rows = stretch_test()
+    rows = reproduce.stretch_test()
     axes = figure.subplots()
     x = np.arange(len(rows))
     for offset, key, colour, label in (
@@ -268,19 +266,15 @@ def _service(figure: Figure) -> None:
 
 
 def _fidelity(figure: Figure) -> None:
-    from missionsim.fidelity import LEVELS, FidelityModel
-
-    model = FidelityModel(rover2025.predictor(), (0.5, 9.0))
-    errors = [model.error_pct(level) for level in LEVELS]
-    steps = [level.speed_step_m_s for level in LEVELS]
+    rows = reproduce.fidelity()
+    steps = [row["speed_step_m_s"] for row in rows]
     axes = figure.subplots()
-    axes.loglog(steps, [mean for mean, _ in errors], "o-", color=COLOURS[0], label="mean error")
-    axes.loglog(steps, [most for _, most in errors], "o:", color=COLOURS[0], label="greatest error")
+    axes.loglog(steps, [row["mean_error_pct"] for row in rows], "o-", color=COLOURS[0], label="mean error")
+    axes.loglog(steps, [row["max_error_pct"] for row in rows], "o:", color=COLOURS[0], label="greatest error")
     _finish(axes, "speed granularity (m/s)", "error of the energy per metre (%)", legend=False)
     twin = axes.twinx()
     # a count: times differ from run to run (`FidelityModel.measure` takes them), and so would the picture
-    counts = [model.optimum(level).evaluations for level in LEVELS]
-    twin.semilogx(steps, counts, "s-", color=COLOURS[1], label="evaluations")
+    twin.semilogx(steps, [row["evaluations"] for row in rows], "s-", color=COLOURS[1], label="evaluations")
     twin.set_ylim(bottom=0.0)
     twin.set_ylabel("evaluations of the power model for the table")
     lines: list[Any] = [*axes.get_lines(), *twin.get_lines()]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from missionsim.files import Json
 from missionsim.physics import Array
-from missionsim.uncertainty.single import drawn_columns
 from missionsim.uncertainty.store import BlockStore
 
 KEPT_TIMES = 100_000
@@ -174,7 +173,8 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
                 if name.startswith(prefix)
             },
         }
-    drawn, count = drawn_columns(names), min(total, IMPORTANCE_RUNS)
+    drawn = [name.removeprefix("drawn:") for name in names if name.startswith("drawn:")]
+    count = min(total, IMPORTANCE_RUNS)
 
     def draws() -> Iterator[tuple[str, Array]]:
         """Names and draws of the first runs, some columns at a time: there may be thousands of values."""

@@ -271,13 +271,6 @@ class ArrayMission:
             if not self._impulsive and not self.varying.of(name) and isinstance(watts, float) and watts >= 0.0
         }
 
-    def _curved(self, rates: Mapping[str, Any], count: int) -> NDArray[np.bool_]:
-        """The intervals in which power changes, shape (intervals,)."""
-        if self.model.memory or self.model.lags or "time_s" in self._needs:
-            return np.ones(count, dtype=bool)
-        changing = [np.any(rate != 0.0, axis=0) if np.ndim(rate) > 1 else rate != 0.0 for rate in rates.values()]
-        return np.asarray(np.broadcast_to(functools.reduce(np.logical_or, changing), (count,)))
-
     @functools.cached_property
     def _driving(self) -> dict[str, list[TermKey]]:
         """The terms of each battery whose sum the regeneration bends at zero."""
@@ -299,7 +292,10 @@ class ArrayMission:
         doubt: Any = 0.0
         total, even, changing, powers = self._fixed
         total = {name: watts if isinstance(watts, float) else watts[part_of] for name, watts in total.items()}
-        curved_at = self._curved(rates, duration.shape[1])
+        curved_at = np.ones(duration.shape[1], dtype=bool)  # in which intervals power changes
+        if not (self.model.memory or self.model.lags or "time_s" in self._needs):
+            changing_in = [np.any(rate != 0.0, axis=0) if np.ndim(rate) > 1 else rate != 0.0 for rate in rates.values()]
+            curved_at = np.broadcast_to(functools.reduce(np.logical_or, changing_in), curved_at.shape)
         for key, watts in even.items():
             np.multiply(time_s, watts, out=parts[key])
         for key, joules in zip(changing, (duration @ powers[part_of]).T if changing else (), strict=True):
@@ -352,7 +348,11 @@ class ArrayMission:
                 book(self.varying.evaluate(matrices.take(cov, steady), values), steady, duration[:, steady])
             length = duration[:, curved]
             times = (0.5 * length[..., None] * (SAMPLES + 1.0)).reshape(len(length), -1)
-            nodes = matrices.at_nodes(cov, rates, curved, times)
+            repeated = np.repeat(curved, len(SAMPLES))
+            nodes = matrices.take(cov, repeated)  # in their last axis interval by interval
+            for name, change in rates.items():
+                if np.any(change):
+                    nodes[name] = nodes[name] + times * np.asarray(change)[..., repeated]
             every = np.add.outer(np.arange(len(length)) * duration.shape[1], curved).ravel()
             for name, lag in lags.items():
                 nodes[name] = lag(every, times.reshape(-1, len(SAMPLES))).reshape(times.shape)

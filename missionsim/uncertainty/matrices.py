@@ -96,16 +96,6 @@ class Progress:
         return found
 
 
-def at_nodes(cov: Covariates, rates: Covariates, curved: NDArray[np.intp], times: Array) -> Columns:
-    """Covariates at the samples of the intervals in which power changes, in their last axis interval by interval."""
-    repeated = np.repeat(curved, len(SAMPLES))
-    nodes = take(cov, repeated)
-    for name, change in rates.items():
-        if np.any(change):
-            nodes[name] = nodes[name] + times * np.asarray(change)[..., repeated]
-    return nodes
-
-
 def at_times(
     cov: Covariates, rates: Covariates, rows: NDArray[np.intp], columns: NDArray[np.intp], times: Array
 ) -> Columns:

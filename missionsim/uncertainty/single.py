@@ -200,8 +200,3 @@ def _columns(
     for name, values in draws.items():
         columns[f"drawn:{name}"] = values
     return columns
-
-
-def drawn_columns(columns: Iterable[str]) -> list[str]:
-    """Names of the uncertain values among the columns of a block."""
-    return [name.removeprefix("drawn:") for name in columns if name.startswith("drawn:")]

@@ -19,8 +19,8 @@ def test_reversing_draws_what_driving_draws() -> None:
 
 
 def test_friction_and_drag_of_a_robot_that_reverses_cost_as_much() -> None:
-    for power, squared in ((motion.rolling_power, 2.0), (motion.viscous_power, 4.0), (motion.drag_power, 8.0)):
+    for power, squared in ((motion.coulomb_power, 2.0), (motion.quadratic_power, 4.0), (motion.drag_power, 8.0)):
         assert power(2.0, 1.0) == squared
         assert power(-2.0, 1.0) == squared
-    assert motion.turning_power(-0.5, 3.0) == 1.5
+    assert motion.coulomb_power(-0.5, 3.0) == 1.5
     assert motion.payload_power(-2.0, 5.0, 0.3) == pytest.approx(3.0)

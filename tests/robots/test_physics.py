@@ -41,16 +41,16 @@ def test_forces_do_the_work(speed: float, angle: float, along: float, across: fl
     wheels = mecanum.wheel_speeds(ahead, left)
     work = sum(float(f * u) for f, u in zip(forces, wheels, strict=True))
     balance = (
-        mecanum.friction_power(wheels, friction_n=20.0)
-        + mecanum.friction_power(mecanum.roller_speeds(left), friction_n=3.0)
+        mecanum.wheels_power(ahead, left, 0.0, 9.0, 0.0, 20.0, 0.0)
+        + mecanum.rollers_power(left, 0.0, 9.0, 0.0, 3.0, 0.0)
         + mecanum.planar_kinetic_power(ahead, along, left, across, 9.0)
     )
     assert work == pytest.approx(float(balance), rel=1e-9, abs=1e-9)
 
 
 def test_copper_loss_straight_ahead() -> None:
-    forces = mecanum.wheel_forces(1.0, 0.0, 2.0, mass_kg=9.0, wheel_friction_n=20.0)
-    assert float(mecanum.copper_loss(forces, resistance_w_n2=0.01)) == pytest.approx(0.01 * (20.0 + 18.0) ** 2)
+    loss = mecanum.windings_power(1.0, 0.0, 2.0, 0.0, 0.0, 9.0, 0.0, 20.0, 0.0, 0.01)
+    assert float(loss) == pytest.approx(0.01 * (20.0 + 18.0) ** 2)
 
 
 def test_starts_reach_their_speed() -> None:
