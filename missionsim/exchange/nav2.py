@@ -118,7 +118,7 @@ def _speed(edge: Value, site: Site) -> float | None:
     if metadata is None or not isinstance(metadata.data, dict):
         return None
     if found := metadata.get("abs_speed_limit"):
-        return found.number(1e-3, 60.0)
+        return found.number(0.0, 60.0) or None  # 0 is no limit, as for speed_limit
     found = metadata.get("speed_limit")
     share = None if found is None else found.number(0.0, 100.0)
     if found is None or not share:

@@ -6,9 +6,9 @@ import json
 import math
 import os
 import re
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -203,7 +203,7 @@ class Site:
     ) -> str:
         """Add a place under a name of its own (a taken one gets a number); gives that name."""
         name = _unique(name, self.places)
-        where = {} if position is None else {"x": position[0], "y": position[1]}
+        where = {} if position is None else {"x": round(position[0], 6), "y": round(position[1], 6)}
         self.places[name] = {**{key: value for key, value in more.items() if value not in (None, "")}, **where}
         if height is not None:
             self.heights[name] = height
@@ -222,6 +222,9 @@ class Site:
             self.edge_names.add(name)
             given["name"] = name
         given |= {"from": start, "to": end} | {key: value for key, value in more.items() if value is not None}
+        if given.get("max_speed", 1.0) < 1e-3:
+            self.tell("left out: speed limit below 1 mm/s", line)
+            del given["max_speed"]
         straight = self.straight(start, end)
         length = given.get("length")
         if straight is not None and length is not None and length < straight:
@@ -301,7 +304,7 @@ def write_site(site: Site, out: str | Path, mission: str | Path | None = None, r
     with ExitStack() as stack:
         place = stack.enter_context(atomic_write(out))
         place.write_text(site.environment_text(), encoding="utf-8")
-        load_environment(place)
+        _checked(site, load_environment, place)
         if mission is None:
             return
         draft = stack.enter_context(atomic_write(mission))
@@ -312,9 +315,17 @@ def write_site(site: Site, out: str | Path, mission: str | Path | None = None, r
         if scheme:
             site.tell(f"control scheme '{scheme}' is assumed: the first of the robot that moves")
         draft.write_text(site.mission_text(shown, os.path.relpath(place.resolve(), folder), scheme), encoding="utf-8")
-        load_mission(draft)
+        _checked(site, load_mission, draft)
         final = os.path.relpath(Path(out).resolve(), folder)
         draft.write_text(site.mission_text(shown, final, scheme), encoding="utf-8")
+
+
+def _checked(site: Site, load: Callable[[Path], object], draft: Path) -> None:
+    """Load what was written; faults of it are told of the file that it was made of, since the draft goes away."""
+    try:
+        load(draft)
+    except InputError as problem:
+        raise InputError([replace(fault, file=site.file, line=0, column=0) for fault in problem.faults]) from None
 
 
 def says_charger(*words: object) -> bool:

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from missionsim.cli.app import run_command
+from missionsim.errors import InputError
 from missionsim.exchange.formats import import_site
 from missionsim.exchange.nav2 import export_costs
-from missionsim.exchange.site import Site, SiteOptions
+from missionsim.exchange.site import Site, SiteOptions, write_site
 from missionsim.inputs.loading import load_robot
 
 
@@ -43,6 +44,27 @@ def test_costs_belong_to_the_edge_and_not_to_its_id(tmp_path: Path) -> None:
     costs = [feature["properties"].get("cost") for feature in json.loads(found.raw)["features"][3:]]
     assert costs == [None, *(pytest.approx(edge["cost"], rel=1e-5) for edge in found.edges)]
     assert "1 edges from a node to itself stay as they are" in found.remarks
+
+
+def test_nodes_all_but_at_one_point_and_limits_of_nothing(tmp_path: Path) -> None:
+    content = graph((0, 1), (1, 2), (2, 0))
+    content["features"][1]["geometry"]["coordinates"] = [1e-8, 0]
+    for feature, limit in zip(
+        content["features"][3:], ({"speed_limit": 1e-8}, {"abs_speed_limit": 0}, {}), strict=True
+    ):
+        feature["properties"]["metadata"] = limit
+    site = site_of(tmp_path / "g.geojson", content)
+    write_site(site, tmp_path / "s.yaml")
+    assert lengths(site) == [0.001, 10.0, 10.0]
+    assert not any("max_speed" in edge for edge in site.edges)
+
+
+def test_faults_of_what_is_written_name_the_file_it_was_made_of(tmp_path: Path) -> None:
+    site = site_of(tmp_path / "g.geojson", graph((0, 1)))
+    site.edges[0]["slope"] = 9.0
+    with pytest.raises(InputError, match=r"g\.geojson: error(?s:.)*slope"):
+        write_site(site, tmp_path / "s.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["g.geojson"]
 
 
 def test_web_mercator_of_the_editor_is_256_wide(tmp_path: Path) -> None:
