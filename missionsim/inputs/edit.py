@@ -37,8 +37,21 @@ class Editing:
     """
 
     def __init__(self, text: str) -> None:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+
         self._robot = robot_from_text(text)
-        self._yaml, self._data = _open(text)
+        self._yaml = YAML(typ="rt")
+        self._yaml.preserve_quotes = True
+        self._yaml.width = 4096
+        # how far the file indents the dashes of a list below its key: 0 or 2
+        match = re.search(r"^( *)[\w-]+:[ \t]*(?:#[^\n]*)?\n(?:[ \t]*(?:#[^\n]*)?\n)*( *)- ", text, re.MULTILINE)
+        offset = 0 if match is not None and len(match.group(2)) <= len(match.group(1)) else 2
+        self._yaml.indent(mapping=2, sequence=offset + 2, offset=offset)
+        try:
+            self._data: Any = self._yaml.load(text)
+        except YAMLError as problem:
+            raise InputError.single(f"not YAML: {str(problem).splitlines()[0]}") from None
 
     def add_effect(self, effect: Mapping[str, object]) -> Editing:
         """One more entry under ``effects:``.
@@ -120,27 +133,6 @@ def for_folder(text: str, folder: str | os.PathLike[str]) -> str:
         relative = target.as_uri()
     reference = Path(relative).as_posix() if "://" not in relative else relative
     return _SCHEMA_LINE.sub(lambda match: match.group(1) + reference, text, count=1)
-
-
-def _open(text: str) -> tuple[Any, Any]:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    yaml = YAML(typ="rt")
-    yaml.preserve_quotes = True
-    yaml.width = 4096
-    offset = _list_offset(text)
-    yaml.indent(mapping=2, sequence=offset + 2, offset=offset)
-    try:
-        return yaml, yaml.load(text)
-    except YAMLError as problem:
-        raise InputError.single(f"not YAML: {str(problem).splitlines()[0]}") from None
-
-
-def _list_offset(text: str) -> int:
-    """How far the file indents the dashes of a list below its key: 0 or 2."""
-    match = re.search(r"^( *)[\w-]+:[ \t]*(?:#[^\n]*)?\n(?:[ \t]*(?:#[^\n]*)?\n)*( *)- ", text, re.MULTILINE)
-    return 0 if match is not None and len(match.group(2)) <= len(match.group(1)) else 2
 
 
 def _updated(old: Any, new: Mapping[str, Any], parameter: Parameter | None) -> Any:

@@ -53,12 +53,10 @@ class ActivitySpec(Model):
             raise wrong("bursts longer than their period", got, allowed, "duration")
 
 
-def _one_or_each(raw: Any) -> str:
-    return "each" if isinstance(raw, dict) and not {"value", "low", "distribution"} & raw.keys() else "one"
-
-
+_PARTS = {"value", "low", "distribution"}
 Reserve = Annotated[
-    Annotated[Fraction, Tag("one")] | Annotated[dict[Identifier, Fraction], Tag("each")], Discriminator(_one_or_each)
+    Annotated[Fraction, Tag("one")] | Annotated[dict[Identifier, Fraction], Tag("each")],
+    Discriminator(lambda raw: "each" if isinstance(raw, dict) and not _PARTS & raw.keys() else "one"),
 ]
 """A fraction of all batteries, or one for each by name."""
 
@@ -170,9 +168,8 @@ class MissionSpec(RobotAtSite):
     def scheme_of(self, segment: SegmentSpec) -> str | None:
         """Control scheme of a segment: its own; for an inspection the robot's image-analysis scheme; the default's for
         segments that move; else (waiting, docking) the robot's `idle_scheme`."""
-        own: str | None = segment.scheme
-        if own is not None:
-            return own
+        if segment.scheme is not None:
+            return segment.scheme
         if segment.kind == "inspect":
             default = self.defaults.scheme
             if default is not None and default in self.robot.schemes and self.robot.schemes[default].image_analysis:
@@ -184,35 +181,25 @@ class MissionSpec(RobotAtSite):
 
     def navigation_of(self, segment: SegmentSpec) -> str | None:
         """Navigation of a segment, where its scheme has one."""
-        scheme = self.scheme_of(segment)
-        if scheme is None or scheme not in self.robot.schemes:
-            return segment.navigation if segment.navigation is not None else None
-        spec = self.robot.schemes[scheme]
-        for name in (segment.navigation, self.defaults.navigation, spec.default_navigation):
-            if name is not None and name in spec.navigation:
-                return str(name)
-        return None
+        spec = self.robot.schemes.get(self.scheme_of(segment) or "")
+        if spec is None:
+            return segment.navigation
+        asked = (segment.navigation, self.defaults.navigation, spec.default_navigation)
+        return next((name for name in asked if name is not None and name in spec.navigation), None)
 
     def sensors_of(self, segment: SegmentSpec) -> dict[str, int]:
         """Units on during a segment: those asked for (segment, else the defaults as far as the scheme allows them, else
         the scheme's own defaults), and always those that the scheme requires."""
-        scheme = self.scheme_of(segment)
-        spec = self.robot.schemes.get(scheme) if scheme is not None else None
-        if spec is None:
-            if segment.sensors is not None:
-                chosen = segment.sensors
-            else:
-                chosen = {} if segment.kind in ("wait", "dock") else (self.defaults.sensors or {})
-            return {name: count for name, count in chosen.items() if count}
-        required, allowed = spec.sensor_rules(self.navigation_of(segment))
-        if segment.sensors is not None:
-            chosen = dict(segment.sensors)
-        elif self.defaults.sensors is not None and segment.kind not in ("wait", "dock"):
-            chosen = {name: min(count, allowed.get(name, 0)) for name, count in self.defaults.sensors.items()}
-        else:
-            chosen = dict(spec.default_sensors)
-        for name, count in required.items():
-            chosen[name] = max(count, chosen.get(name, 0))
+        spec = self.robot.schemes.get(self.scheme_of(segment) or "")
+        asked = None if segment.kind in ("wait", "dock") else self.defaults.sensors
+        chosen = dict((asked if segment.sensors is None else segment.sensors) or {})
+        if spec is not None:
+            required, allowed = spec.sensor_rules(self.navigation_of(segment))
+            if segment.sensors is None and asked is not None:
+                chosen = {name: min(count, allowed.get(name, 0)) for name, count in asked.items()}
+            elif segment.sensors is None:
+                chosen = dict(spec.default_sensors)
+            chosen |= {name: max(count, chosen.get(name, 0)) for name, count in required.items()}
         return {name: count for name, count in chosen.items() if count}
 
 

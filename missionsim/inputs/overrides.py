@@ -76,69 +76,43 @@ def resolve(data: object, path: str) -> tuple[str | int, ...] | Fault:
     keys = [part.strip() for part in path.split(".")]
     result: list[str | int] = []
     here: Any = data
-    index = 0
-    while index < len(keys):
-        key = keys[index]
-        rest = keys[index:]
+    while keys:
+        key = keys[0]
+        names: list[str] = []
         if not key:
             return Fault("", 0, 0, "empty part in a path", path, path, "parts between the dots")
         if isinstance(here, dict):
-            whole = next((count for count in range(len(rest), 0, -1) if ".".join(rest[:count]) in here), 0)
-            if whole:
-                joined = ".".join(rest[:whole])
+            count = next((count for count in range(len(keys), 0, -1) if ".".join(keys[:count]) in here), 0)
+            if count:
+                joined, keys = ".".join(keys[:count]), keys[count:]
                 result.append(joined)
                 here = here[joined]
-                index += whole
                 continue
-            if len(rest) <= 2:
-                result += rest
-                return tuple(result)
-            return _lost(path, key, list(here))
-        if isinstance(here, list):
-            position = _list_index(here, key)
-            if position is None:
-                return _lost(path, key, [*_names(here), *(str(number) for number in range(min(len(here), 20)))])
-            result.append(position)
-            here = here[position]
-            if index + 1 < len(keys) and isinstance(here, dict) and len(here) == 1 and keys[index + 1] not in here:
-                inner = next(iter(here))
-                if isinstance(here[inner], dict):
-                    result.append(inner)
-                    here = here[inner]
-            index += 1
-            continue
-        if here is None or (index == len(keys) - 1 and isinstance(here, (str, int, float))):
-            result += rest
-            return tuple(result)
-        return _lost(path, key, [])
+            if len(keys) <= 2:
+                return (*result, *keys)
+            names = list(here)
+        elif isinstance(here, list):
+            # a segment is a mapping with one key, its kind
+            wrapped = [isinstance(item, dict) and "name" not in item and len(item) == 1 for item in here]
+            bodies = [next(iter(item.values())) if one else item for item, one in zip(here, wrapped, strict=True)]
+            called = [str(b["name"]) if isinstance(b, dict) and "name" in b else None for b in bodies]
+            index = int(key) if key.lstrip("-").isdecimal() and len(key) < 8 else len(here)
+            if key in called or -len(here) <= index < len(here):
+                index, keys = called.index(key) if key in called else index % len(here), keys[1:]
+                result.append(index)
+                here = here[index]
+                if keys and isinstance(here, dict) and len(here) == 1 and keys[0] not in here:
+                    inner = next(iter(here))
+                    if isinstance(here[inner], dict):
+                        result.append(inner)
+                        here = here[inner]
+                continue
+            names = [*(name for name in called if name is not None), *map(str, range(min(len(here), 20)))]
+        elif here is None or (len(keys) == 1 and isinstance(here, (str, int, float))):
+            return (*result, *keys)
+        told, hint = f"nothing called '{key}' on this path", did_you_mean(key, names)
+        return Fault("", 0, 0, told, path, key, ", ".join(names[:20]), hint)
     return tuple(result)
-
-
-def _lost(path: str, key: str, known: Sequence[str]) -> Fault:
-    return Fault(
-        "", 0, 0, f"nothing called '{key}' on this path", path, key, ", ".join(known[:20]), did_you_mean(key, known)
-    )
-
-
-def _body(item: Any) -> Any:
-    if isinstance(item, dict) and "name" not in item and len(item) == 1:
-        return next(iter(item.values()))
-    return item
-
-
-def _names(items: Sequence[Any]) -> list[str]:
-    bodies = [_body(item) for item in items]
-    return [str(body["name"]) for body in bodies if isinstance(body, dict) and "name" in body]
-
-
-def _list_index(items: Sequence[Any], key: str) -> int | None:
-    for position, item in enumerate(items):
-        body = _body(item)
-        if isinstance(body, dict) and str(body.get("name", "")) == key:
-            return position
-    if key.lstrip("-").isdecimal() and len(key) < 8 and -len(items) <= int(key) < len(items):
-        return int(key) % len(items)
-    return None
 
 
 def _changed(data: Any, path: Sequence[str | int], value: Any) -> Any:

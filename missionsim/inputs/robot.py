@@ -1,5 +1,6 @@
 """The robot file: body, batteries, components, motion, control schemes and effects."""
 
+import itertools
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -149,17 +150,14 @@ class SchemeSpec(Model):
 
     def sensor_rules(self, navigation: str | None = None) -> tuple[dict[str, int], dict[str, int]]:
         """Required units, and the most units allowed (required ones among them), under a navigation."""
-        chosen = self.navigation.get(navigation or self.default_navigation or "", None)
-        required = dict(self.sensors.required)
-        allowed = dict(self.sensors.optional)
-        for rules in [chosen] if chosen is not None else []:
-            for name, count in rules.required.items():
-                required[name] = max(count, required.get(name, 0))
-            for name, count in rules.optional.items():
-                allowed[name] = max(count, allowed.get(name, 0))
-        for name, count in required.items():
-            allowed[name] = max(count, allowed.get(name, 0))
-        return required, allowed
+        chosen = self.navigation.get(navigation or self.default_navigation or "")
+        rules = (self.sensors,) if chosen is None else (self.sensors, chosen)
+
+        def most(*given: dict[str, int]) -> dict[str, int]:
+            return {name: max(one.get(name, 0) for one in given) for name in itertools.chain(*given)}
+
+        required = most(*(rule.required for rule in rules))
+        return required, most(*(rule.optional for rule in rules), required)
 
 
 Drive = Literal["differential", "skid_steer", "mecanum", "omni", "ackermann"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import re
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +25,13 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     if kind not in KINDS:
         raise InputError.unknown(f"no schema '{kind}'", kind, KINDS)
     shared: dict[str, Any] = {}
-    body = _tidy(_raw(kind), shared)
+    body = _tidy(model_of(kind).model_json_schema(by_alias=True), shared)
     definitions = {**body.pop("$defs", {}), **shared}
     for definition in definitions.values():
-        _unwrap_segment(definition)
+        # a segment's kind is the key that it stands under, not a key inside it
+        if definition.get("properties", {}).get("kind", {}).get("const") in SEGMENT_KINDS:
+            del definition["properties"]["kind"]
+            definition["required"] = [key for key in definition.get("required", []) if key != "kind"]
     for name, definition in [("", body), *definitions.items()]:
         if not name.startswith("quantity"):
             add_descriptions(name, definition, definitions)
@@ -40,23 +42,9 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     return {**head, **body, "$defs": dict(sorted(definitions.items()))}
 
 
-@functools.cache
-def _raw(kind: str) -> Schema:
-    """The schema as Pydantic makes it, which takes longer than the rest; not to be changed."""
-    return model_of(kind).model_json_schema(by_alias=True)
-
-
 def schema_text(kind: str, robot: RobotSpec | None = None) -> str:
     """The schema as it is written to files."""
     return json.dumps(schema(kind, robot), indent=1, ensure_ascii=False) + "\n"
-
-
-def _unwrap_segment(definition: dict[str, Any]) -> None:
-    """A segment's kind is the key that it stands under, not a key inside it."""
-    kind = definition.get("properties", {}).get("kind", {}).get("const")
-    if kind in SEGMENT_KINDS:
-        del definition["properties"]["kind"]
-        definition["required"] = [key for key in definition.get("required", []) if key != "kind"]
 
 
 def _tidy(node: Any, shared: dict[str, Any], properties: bool = False) -> Any:
@@ -97,14 +85,12 @@ def unit_pattern(dimension: str, percent: bool = False) -> str:
     names += units.DIMENSIONS["charge"].units if dimension == "energy" else []
     names += ["%"] if percent else []
     every = {unit for one in units.DIMENSIONS.values() for unit in one.units if unit}
-    listed, others = (_either(some) for some in (names, every - set(names)))
+    listed, others = (
+        "|".join(re.escape(name).replace("\\ ", " ") for name in sorted(some, key=lambda name: (-len(name), name)))
+        for some in (names, every - set(names))
+    )
     composed = rf"(?!(?:{others})\s*$)[A-Za-zµΩ°%][^\s*/^·]*\s*[*/^· ]\s*\S.*"
     return rf"{_NUMBER}\s*({listed}|{composed})?\s*$"
-
-
-def _either(names: Iterable[str]) -> str:
-    escaped = [re.escape(name).replace("\\ ", " ") for name in sorted(names, key=lambda name: (-len(name), name))]
-    return "|".join(escaped)
 
 
 def add_descriptions(name: str, definition: Schema, definitions: dict[str, Schema]) -> None:
@@ -197,18 +183,12 @@ def _rule(key: str, name: str, parameters: dict[str, str], more: str = "") -> Sc
 
 def add_names(definitions: dict[str, Schema], body: Schema, robot: RobotSpec) -> None:
     """Enumerate the batteries, components, schemes, links and boards of one robot wherever a file names one."""
-    names = {
-        "battery": list(robot.batteries),
-        "component": list(robot.components),
-        "scheme": list(robot.schemes),
-        "idle_scheme": list(robot.schemes),
-        "relay": list(robot.switchboards),
-        "through": list(robot.links),
-    }
-    lists = {"batteries": list(robot.batteries), "requires": list(robot.components)}
-    keyed = {"initial_charge": list(robot.batteries), "sensors": list(robot.components)}
-    keyed |= {"default_sensors": list(robot.components), "required": list(robot.components)}
-    keyed |= {"optional": list(robot.components)}
+    batteries, components, schemes = (list(part) for part in (robot.batteries, robot.components, robot.schemes))
+    names = {"battery": batteries, "component": components, "scheme": schemes, "idle_scheme": schemes}
+    names |= {"relay": list(robot.switchboards), "through": list(robot.links)}
+    lists = {"batteries": batteries, "requires": components}
+    keyed = {"initial_charge": batteries}
+    keyed |= dict.fromkeys(("sensors", "default_sensors", "required", "optional"), components)
     for definition in (body, *definitions.values()):
         for key, node in definition.get("properties", {}).items():
             options = [node, *node.get("anyOf", ())] if isinstance(node, dict) else []

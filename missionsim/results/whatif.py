@@ -5,18 +5,19 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from missionsim.effects.model import PowerModel
-from missionsim.engine.outcome import BatteryResult, RunResult
+from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
 from missionsim.files import Json, fields_of
 from missionsim.inputs.loading import load_mission, load_study, remembered
+from missionsim.inputs.overrides import route
 from missionsim.inputs.power import build_power_model
 from missionsim.workers import interrupts_held, process_pool
 
@@ -82,17 +83,17 @@ class WhatIf:
                 continue
             for name in self.batteries:
                 now, before = result.batteries.get(name), base.batteries.get(name)
-                energy = now.energy_wh if now else 0.0
-                reference = before.energy_wh if before else 0.0
-                terms = result.by_term_wh(name) if now else {}
-                old = base.by_term_wh(name) if before else {}
+                energy, reference = (0.0 if one is None else one.energy_wh for one in (now, before))
+                terms, old = (run.by_term_wh(name) if name in run.batteries else {} for run in (result, base))
+                names = "charge_left_wh charge_left_fraction reserve_wh empty_at_s deficit_wh"
+                given = dict.fromkeys(names.split()) if now is None else fields_of(now, names)
                 batteries[name] = {
                     "energy_wh": energy,
                     "difference_wh": energy - reference,
                     "difference_pct": 100.0 * (energy - reference) / reference if reference else None,
-                    **_given(now, "charge_left_wh charge_left_fraction reserve_wh"),
+                    **{key: given.pop(key) for key in names.split()[:3]},
                     "margin_wh": now.charge_left_wh - now.reserve_required_wh if now else None,
-                    **_given(now, "empty_at_s deficit_wh"),
+                    **given,
                     "by_term_wh": terms,
                     "difference_by_term_wh": {
                         term: terms.get(term, 0.0) - old.get(term, 0.0) for term in dict.fromkeys([*old, *terms])
@@ -130,10 +131,6 @@ class WhatIf:
         return {name: [row.get(name) for row in rows] for name in COLUMNS}
 
 
-def _given(battery: BatteryResult | None, names: str) -> Json:
-    return dict.fromkeys(names.split()) if battery is None else fields_of(battery, names)
-
-
 def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[str, object]] = ()) -> list[Alternative]:
     """Every combination of varied values, each on top of what the baseline sets. `base`: what the baseline sets. Raises
     InputError: for more combinations than `MOST_ALTERNATIVES`."""
@@ -156,13 +153,17 @@ def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
     study = load_study(path)
     base = tuple(study.baseline.items())
     folder = Path(path).parent
-    robot = _robot(study.robot, folder)
-    made = [Alternative(BASELINE, base, robot)]
+
+    def own(reference: str | None) -> str | None:
+        near = None if reference is None else folder / reference
+        return str(near) if near is not None and near.is_file() else reference
+
+    made = [Alternative(BASELINE, base, own(study.robot))]
     for name, spec in study.alternatives.items():
-        own = _robot(spec.robot, folder) if spec.robot is not None else robot
-        made.append(Alternative(str(name), (*base, *spec.set.items()), own, spec.title))
+        robot = own(study.robot if spec.robot is None else spec.robot)
+        made.append(Alternative(str(name), (*base, *spec.set.items()), robot, spec.title))
     if study.vary:
-        made += [Alternative(item.name, item.set, robot) for item in varied(study.vary.items(), base)]
+        made += [Alternative(item.name, item.set, own(study.robot)) for item in varied(study.vary.items(), base)]
     return folder / study.mission, made
 
 
@@ -197,9 +198,7 @@ def run_alternatives(
             for future in futures:
                 take(future.result())
     else:
-        with remembered():
-            models: dict[int, PowerModel] = {}
-            take(_try(mission, alternative, models) for alternative in alternatives)
+        take(_tried(mission, alternatives))
     first, *others = results
     if not isinstance(first, RunResult) or (faults and not any(isinstance(item, RunResult) for item in others)):
         raise InputError(faults)
@@ -212,33 +211,28 @@ _Tried = tuple[RunResult | None, Sequence[Fault], Sequence[Fault]]
 
 
 def _run_part(mission: str | os.PathLike[str], alternatives: Sequence[Alternative]) -> list[_Tried]:
-    models: dict[int, PowerModel] = {}
+    return list(_tried(mission, alternatives))
+
+
+def _tried(mission: str | os.PathLike[str], alternatives: Sequence[Alternative]) -> Iterator[_Tried]:
+    """Result (its totals by segment), faults and warnings of each alternative."""
+    models: dict[int, PowerModel] = {}  # of robots without change, which are remembered: their identity stays their own
     with remembered():
-        return [_try(mission, alternative, models) for alternative in alternatives]
-
-
-def _try(mission: str | os.PathLike[str], alternative: Alternative, models: dict[int, PowerModel]) -> _Tried:
-    """Result (its totals by segment), faults and warnings of an alternative; `models` are of robots without change. A
-    robot that no alternative changes is remembered, so that its identity stays its own."""
-    try:
-        spec = load_mission(mission, list(alternative.set), alternative.robot)
-        model = models.get(id(spec.robot)) or build_power_model(spec.robot)
-        if not any(path.startswith("robot.") for path, _ in alternative.set):
-            models[id(spec.robot)] = model
-        result = simulate(spec, model=model)
-    except InputError as problem:
-        return None, problem.faults, ()
-    return result.totals(), (), (*spec.warnings, *result.warnings)
+        for alternative in alternatives:
+            try:
+                spec = load_mission(mission, list(alternative.set), alternative.robot)
+                model = models.get(id(spec.robot)) or build_power_model(spec.robot)
+                if not route(alternative.set)["robot"]:
+                    models[id(spec.robot)] = model
+                result = simulate(spec, model=model)
+            except InputError as problem:
+                yield None, problem.faults, ()
+            else:
+                yield result.totals(), (), (*spec.warnings, *result.warnings)
 
 
 _SAYS_LITTLE = ("drive", "loads", "parameters")
 """Steps of a path that stand in the paths of every segment, component and battery."""
-
-
-def _robot(reference: str | None, folder: Path) -> str | None:
-    if reference is None:
-        return None
-    return str(folder / reference) if (folder / reference).is_file() else reference
 
 
 def _short(path: str) -> str:

@@ -86,14 +86,18 @@ def segments_table(result: RunResult) -> dict[str, Sequence[object]]:
         "distance_m": distance.tolist(),
     }
     home = result.home_energy()
+    times = np.array([0.0 if t is None else t + 1e-9 * max(1.0, abs(t)) for t in end])
+    ended = np.searchsorted(line.start_s + line.duration_s, times, side="right")
     for battery in result.batteries:
-        charge = _charge_at(result, battery, end)
+        charge = [result.batteries[battery].initial_wh, *np.asarray(result.charge_wh[battery]).tolist()]
+        known = len(charge) == len(line) + 1
+        left = [None if t is None or not known else charge[i] for t, i in zip(end, ended, strict=True)]
         homes = [entry.get(battery) for entry in home]
         table[f"energy_{battery}_wh"] = result.by_segment_wh(battery).tolist()
-        table[f"charge_{battery}_wh"] = charge
+        table[f"charge_{battery}_wh"] = left
         table[f"home_{battery}_wh"] = homes
         table[f"reserve_{battery}_wh"] = [
-            None if left is None or way is None else left - way for left, way in zip(charge, homes, strict=True)
+            None if wh is None or way is None else wh - way for wh, way in zip(left, homes, strict=True)
         ]
     return table
 
@@ -138,28 +142,12 @@ def edges_table(result: RunResult) -> dict[str, Sequence[object]]:
     return table
 
 
-def _charge_at(result: RunResult, battery: str, times: Sequence[float | None]) -> list[float | None]:
-    """Charge at the ends of segments [Wh]; None for those that did not end."""
-    line = result.timeline
-    charge = [result.batteries[battery].initial_wh, *np.asarray(result.charge_wh[battery]).tolist()]
-    if len(charge) != len(line) + 1:
-        return [None] * len(times)
-    ends = line.start_s + line.duration_s
-    return [
-        None if t is None else charge[np.searchsorted(ends, t + 1e-9 * max(1.0, abs(t)), side="right")] for t in times
-    ]
-
-
 def largest_consumers(result: RunResult, count: int = 3) -> list[tuple[str, str, float, float]]:
     """The largest consumers of all batteries: battery, component, energy [Wh] and share of all energy."""
-    rows = [
-        (battery, component, energy)
-        for battery in result.batteries
-        for component, energy in result.by_component_wh(battery).items()
-    ]
+    rows = [(battery, *row) for battery in result.batteries for row in result.by_component_wh(battery).items()]
     total = sum(battery.energy_wh for battery in result.batteries.values())
-    rows.sort(key=lambda row: -row[2])
-    return [(b, c, energy, energy / total if total else 0.0) for b, c, energy in rows[:count]]
+    largest = sorted(rows, key=lambda row: -row[2])[:count]
+    return [(b, c, energy, energy / total if total else 0.0) for b, c, energy in largest]
 
 
 Format = Literal["csv", "parquet"]
