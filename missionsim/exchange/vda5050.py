@@ -168,6 +168,9 @@ _EDGE_USED |= {"startNodeId", "endNodeId", "edgeDescription", "edgeDescriptor"}
 
 def read(root: Value, site: Site) -> None:
     """Fill the site; the order is its mission."""
+    if root.has("nodeStates"):
+        root.fault("a state message, not an order", "missionsim import, which reads logs of them")
+        return
     site.name = root.word("orderId") or site.name
     site.title = root.word("orderDescription")
     if zones := root.word("zoneSetId"):

@@ -145,6 +145,11 @@ def test_order_with_limits_above_the_robot_and_empty_parts_is_driven(limits: tup
     assert not any("straight" in message for message in site.remarks)
 
 
+def test_state_message_is_no_order(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a state message, not an order(?s:.)*missionsim import"):
+        site_of(tmp_path / "s.json", {"orderId": "o", "nodeStates": [], "edgeStates": []})
+
+
 def test_what_a_track_holds_beside_its_way_is_told(tmp_path: Path) -> None:
     point = '<trkpt lat="47.0" lon="8.{}"><ele>400</ele><time>2026-01-01T00:00:00Z</time><hdop>1</hdop></trkpt>'
     points = "".join(point.format(i) for i in (1, 2))
