@@ -146,7 +146,7 @@ def test_order_with_limits_above_the_robot_and_empty_parts_is_driven(limits: tup
 
 
 def test_state_message_is_no_order(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a state message, not an order(?s:.)*missionsim import"):
+    with pytest.raises(InputError, match=r"a state message, not an order(?s:.)*missionsim import"):
         site_of(tmp_path / "s.json", {"orderId": "o", "nodeStates": [], "edgeStates": []})
 
 
