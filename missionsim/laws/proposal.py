@@ -15,7 +15,7 @@ from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import CLOCKS, FAR_BETTER, QUANTITY, Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
-from missionsim.laws.factors import make_grammar
+from missionsim.laws.factors import evaluate, make_grammar
 from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.levels import by_levels
@@ -279,12 +279,6 @@ def _values(name: str, ground: Ground) -> Any:
             for p, run in zip(parts, ground.covariates, strict=True)
         ]
     )
-
-
-def evaluate(formula: str, cov: Covariates, rows: int) -> Array:
-    """Power of a formula for k = 1, shape (rows,)."""
-    expression = compile_expression(formula)
-    return np.broadcast_to(np.asarray(expression.evaluate({**cov, "k": 1.0}), dtype=float), (rows,))
 
 
 def _curve(laws: Sequence[Law], ground: Ground, seen: Gates, share: float) -> Curve | None:
