@@ -1,21 +1,294 @@
-"""The clock: delay of the power meter behind the motion and its first-order lag, and where to begin with both."""
+"""From raw rows to means over the analysis intervals of all runs at once, for any delay and lag of the meter.
+
+Columns are evaluated at the raw rate by the caller and averaged here: a non-linear feature of an average is biased.
+A mean is linear in the column once its cumulative integral and the slopes of that are known, so that any delay, also a
+fraction of a sample, is exact for rows that hold their value, and one sparse matrix of weights for a clock serves every
+column of every run. The clock begins where the profile likelihood of a prewhitened regression has its best.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from missionsim.identify.averaging import Intervals, RunColumns, integral_curves
-from missionsim.identify.settings import CLOCK_RUNS
+from missionsim.identify.data import RunData
+from missionsim.identify.settings import CLOCK_RUNS, FINEST_STEP_S, GAP_ROWS
 from missionsim.physics import Array
 
 CONSTANT = 1e-16
 """What is left of a column's square without its mean, when it is rounding only: scaled up it would be pure chance."""
 Place = tuple[float, float]
 """Delay and lag [s]."""
+LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899450829, 0.0103892565))
+"""Gauss-Laguerre nodes: a first-order lag is an exponentially weighted mean of delays."""
+
+Weights = tuple[Any, Array]
+"""Of one clock: a sparse matrix (edges, 2 * edges of the rows) for the stacked curves, and how many rows each interval
+covers, shape (intervals,)."""
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Analysis intervals of one run: measured means and where they lie in time; arrays of shape (bins,)."""
+
+    low_s: Array
+    high_s: Array
+    measured_w: Array
+    starts: NDArray[np.intp]
+    """First bin of each stretch without a gap."""
+
+
+def _row_edges(time_s: Array) -> tuple[Array, float]:
+    """Edges that split the time half-way between the rows, and the usual step."""
+    step = float(np.median(np.diff(time_s)))
+    middle = 0.5 * (time_s[1:] + time_s[:-1])
+    return np.concatenate([[time_s[0] - 0.5 * step], middle, [time_s[-1] + 0.5 * step]]), step
+
+
+def make_bins(run: RunData, period_s: float) -> Bins:
+    """Group rows into intervals of about `period_s`; a slow power topic sets its own intervals.
+
+    Rows without a measurement leave a gap; a group never spans one.
+    """
+    time_s, power = run.time_s, run.measured_w
+    edges, step = _row_edges(time_s)
+    # the rows' own reach is shorter beside a gap
+    low = np.maximum(edges[:-1], time_s - 0.75 * step)
+    high = np.minimum(edges[1:], time_s + 0.75 * step)
+    usable = np.isfinite(power)
+    if run.fresh is not None and not bool(np.all(run.fresh)):
+        # a value that is first seen in row r was measured between the refresh before and r
+        rows = np.flatnonzero(run.fresh & usable)
+        if len(rows) < 3:
+            raise ValueError(f"run {run.run}: power was refreshed {len(rows)} times only")
+        refresh_s = np.diff(time_s[rows])
+        step = float(np.median(refresh_s))
+        whole = refresh_s <= GAP_ROWS * step
+        low, high, power = (x[whole] for x in (high[rows[:-1]], high[rows[1:]], power[rows[1:]]))
+    else:
+        low, high, power = low[usable], high[usable], power[usable]
+    if len(low) == 0:
+        return Bins(low, low, low, np.empty(0, dtype=np.intp))
+    per_bin = max(1, round(period_s / step))
+    breaks = np.flatnonzero(low[1:] - high[:-1] > (GAP_ROWS - 1.5) * step) + 1
+    begins: list[int] = []
+    ends: list[int] = []
+    starts: list[int] = []
+    for begin, end in pairwise([0, *breaks.tolist(), len(low)]):
+        groups = list(range(begin, end, per_bin))
+        if len(groups) > 1 and end - groups[-1] < 0.6 * per_bin:
+            groups.pop()  # a short rest joins the bin before it
+        starts.append(len(begins))
+        begins += groups
+        ends += [*groups[1:], end]
+    begin_at, end_at = np.asarray(begins), np.asarray(ends)
+    length = high - low
+    total = np.add.reduceat(power * length, begin_at)
+    weight = np.add.reduceat(length, begin_at)
+    return Bins(low[begin_at], high[end_at - 1], total / weight, np.asarray(starts, dtype=np.intp))
+
+
+@dataclass(frozen=True)
+class EvenGrid:
+    """How columns at the rows of one run are put on an even grid, unchanged where the rows already are even.
+
+    ``before`` and ``inside_s`` say in which row, and how far behind its edge, each edge of the even grid lies.
+    """
+
+    start_s: float
+    step_s: float
+    length_s: Array
+    before: NDArray[np.intp] | None = None
+    inside_s: Array | None = None
+
+    @classmethod
+    def of(cls, run: RunData) -> EvenGrid:
+        """Grid of a run."""
+        edges, step = _row_edges(run.time_s)
+        length = np.diff(edges)
+        if bool(np.all(np.abs(np.diff(run.time_s) - step) <= 0.02 * step)) and step >= 0.99 * FINEST_STEP_S:
+            return cls(float(edges[0]), step, length)
+        target = max(step, FINEST_STEP_S)
+        count = max(2, int(np.ceil((edges[-1] - edges[0]) / target - 1e-6)))
+        target = float(edges[-1] - edges[0]) / count  # no part of a row beyond the end
+        grid = np.linspace(edges[0], edges[-1], count + 1)
+        before = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, len(length) - 1)
+        return cls(float(edges[0]), target, length, before, grid - edges[before])
+
+    def on(self, values: Array) -> Array:
+        """Columns (k, rows) as means over the rows of the even grid, which keep their integral."""
+        if self.before is None or self.inside_s is None:
+            return values
+        cumulative = np.zeros((values.shape[0], values.shape[1] + 1))
+        np.cumsum(values * self.length_s, axis=1, out=cumulative[:, 1:])
+        at_edges = values.take(self.before, axis=1)
+        at_edges *= self.inside_s
+        at_edges += cumulative.take(self.before, axis=1)
+        return np.asarray((at_edges[:, 1:] - at_edges[:, :-1]) / self.step_s)
+
+
+@dataclass
+class RunColumns:
+    """Columns of one run on an even raw grid, ready to be lagged, delayed and averaged; ``values`` (columns, rows)."""
+
+    bins: Bins
+    grid: EvenGrid
+    values: Array
+
+    @classmethod
+    def of(cls, run: RunData, bins: Bins, rows: Sequence[Array]) -> RunColumns:
+        """Put the given raw columns on an even grid (unchanged where the rows already are even)."""
+        grid = EvenGrid.of(run)
+        return cls(bins, grid, grid.on(np.ascontiguousarray(np.vstack([np.asarray(r, dtype=float) for r in rows]))))
+
+
+def integral_curves(columns: Sequence[Array]) -> Array:
+    """Cumulative integral of columns (unit step) of each run as a cubic inside each row, runs one after the other.
+
+    Its slope at a row's edge is the mean of the neighbours, limited so that the cubic stays monotone; a linear ramp
+    between rows is thereby reproduced although each row holds only its mean.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray, shape (k, rows of the run)
+
+    Returns
+    -------
+    ndarray, shape (2, edges of the rows of all runs, k)
+        The integral and its slope at each edge; a run has one edge more than rows.
+    """
+    out = np.empty((2, sum(values.shape[1] + 1 for values in columns), columns[0].shape[0]))
+    begin = 0
+    for values in columns:
+        rows = np.ascontiguousarray(values.T)
+        integral, slope = out[:, begin : begin + len(rows) + 1]
+        begin += len(rows) + 1
+        integral[0] = 0.0
+        np.cumsum(rows, axis=0, out=integral[1:])
+        left, right = rows[:-1], rows[1:]
+        slope[0], slope[-1] = rows[0], rows[-1]
+        # in place: no arrays are larger than these
+        inner = np.add(left, right, out=slope[1:-1])
+        inner *= 0.5
+        size = np.abs(rows)
+        limit = np.minimum(size[:-1], size[1:])
+        limit *= 3.0
+        np.minimum(inner, limit, out=inner)
+        np.negative(limit, out=limit)
+        np.maximum(inner, limit, out=inner)
+        np.multiply(left, right, out=limit)
+        inner *= limit > 0.0
+    return out
+
+
+def _hermite(s: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of the integral at both edges of a row, and of its slope there, for the place s in the row (0 to 1)."""
+    rise = s * s * (3.0 - 2.0 * s)
+    back = s * (1.0 - s)
+    return 1.0 - rise, rise, back * (1.0 - s), -back * s
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Analysis intervals of several runs on the even raw grid of each."""
+
+    edges_s: Array
+    run: NDArray[np.intp]
+    """Both: edges in the order of time, run by run, and the number of their run. Shape (edges,)."""
+    low_at: NDArray[np.intp]
+    """Edge at which each interval begins; it ends at the next. Shape (intervals,)."""
+    least: Array
+    """Least number of rows that a mean is divided by. Shape (intervals,)."""
+    start_s: Array
+    step_s: Array
+    """Both: of the raw grid of each edge's run. Shape (edges,)."""
+    count: NDArray[np.int32]
+    first: NDArray[np.int32]
+    """Both: rows of that grid, and its first edge when the edges of all runs' rows are stacked. Shape (edges,)."""
+
+    @classmethod
+    def of(cls, runs: Sequence[RunColumns]) -> Intervals:
+        """Intervals of several runs, which never overlap, to be averaged over together."""
+        edges, low_at, least, total = [], [], [], 0
+        for low, high, step in ((r.bins.low_s, r.bins.high_s, r.grid.step_s) for r in runs):
+            # where intervals touch, one edge serves both
+            apart = np.append(np.abs(high[:-1] - low[1:]) >= 1e-9, True)
+            begin = np.arange(len(low)) + np.concatenate([[0], np.cumsum(apart[:-1])])
+            own = np.empty(len(low) + int(apart.sum()))
+            own[begin] = low
+            own[begin[apart] + 1] = high[apart]
+            edges.append(own)
+            low_at.append(begin + total)
+            least.append(0.1 * (high - low) / step)
+            total += len(own)
+        run = np.repeat(np.arange(len(edges)), [len(e) for e in edges])
+        rows = np.array([r.values.shape[1] for r in runs], dtype=np.int32)
+        return cls(
+            np.concatenate(edges),
+            run,
+            np.concatenate(low_at).astype(np.intp),
+            np.concatenate(least),
+            start_s=np.array([r.grid.start_s for r in runs], dtype=float)[run],
+            step_s=np.array([r.grid.step_s for r in runs], dtype=float)[run],
+            count=rows[run],
+            first=np.concatenate([[0], np.cumsum(rows + 1)[:-1]]).astype(np.int32)[run],
+        )
+
+    def weights(self, delay_s: Array, lag_s: float) -> Weights:
+        """Weights for the delay of each run, shape (runs,), and a common lag [s]."""
+        from scipy.sparse import csr_array
+
+        left, s, weight = self._places(delay_s, lag_s)
+        data = np.empty((s.shape[1], len(weight), 4))
+        at = np.empty(data.shape, dtype=np.int32)
+        rows = int(self.first[-1] + self.count[-1]) + 1
+        for i, part in enumerate(_hermite(s)):
+            data[:, :, i] = (weight[:, None] * part).T
+            at[:, :, i] = left.T
+            at[:, :, i] += (0, 1, rows, rows + 1)[i]
+        count = len(self.edges_s)
+        ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
+        return csr_array((data.ravel(), at.ravel(), ends), shape=(count, 2 * rows)), weight @ (left + s)
+
+    def means(self, curves: Array, weights: Weights) -> Array:
+        """Mean of columns over every interval, shape (intervals, k), from their `integral_curves`."""
+        at_edges, place = weights
+        whole = at_edges @ curves.reshape(-1, curves.shape[2])
+        difference = (whole[1:] - whole[:-1]).take(self.low_at, axis=0)
+        # at the ends of the log a delayed column is known for a part of the interval only; a constant stays one
+        difference /= np.maximum(np.diff(place).take(self.low_at), self.least)[:, None]
+        return np.asarray(difference)
+
+    def means_of_one(self, curve: Array, delay_s: Array, lag_s: float) -> Array:
+        """The same for a single column without a matrix, shape (intervals,), from its curve (2, edges, 1)."""
+        left, s, weight = self._places(delay_s, lag_s)
+        integral, slope = curve[:, :, 0]
+        parts = (integral.take(left), integral.take(left + 1), slope.take(left), slope.take(left + 1))
+        whole = weight @ sum(part * value for part, value in zip(_hermite(s), parts, strict=True))
+        difference = (whole[1:] - whole[:-1]).take(self.low_at)
+        return np.asarray(difference / np.maximum(np.diff(weight @ (left + s)).take(self.low_at), self.least))
+
+    def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
+        """Stacked edge at the start of a row, and place in the row, at every node of the lag and edge, shapes
+        (nodes, edges); weights (nodes,)."""
+        if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers
+            raise ValueError("the clock of the meter comes out as no number")
+        nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
+        late = (self.edges_s - delay_s[self.run] - self.start_s) / self.step_s
+        position = late - nodes[:, :1] * (lag_s / self.step_s)
+        np.maximum(position, 0.0, out=position)
+        np.minimum(position, self.count, out=position)
+        left = position.astype(np.int32)
+        np.minimum(left, self.count - 1, out=left)
+        position -= left
+        left += self.first
+        return left, position, nodes[:, 1]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Clock, find_clock
-from missionsim.identify.averaging import Intervals, RunColumns, Weights, integral_curves, make_bins
+from missionsim.identify.align import Clock, Intervals, RunColumns, Weights, find_clock, integral_curves, make_bins
 from missionsim.identify.data import Candidate, Column, Constraints, Layout, RunData
 from missionsim.identify.settings import (
     CLOCK_SD_S,

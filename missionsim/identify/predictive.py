@@ -9,9 +9,9 @@ CRV3: Cameron, Gelbach and Miller 2008).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,13 @@ class LeastSquares:
         """Sums of a design; the folds are its runs, or stretches of them where there are few."""
         q = len(design.layout.parameters)
         rows = np.vstack([design.residual, design.gradient[:q], design.phi, np.ones_like(design.y), design.y])
-        folds = _folds(design)
+        pieces = -(-FEWEST_FOLDS // len(design.runs)) if len(design.runs) < FEWEST_FOLDS - 2 else 1
+        folds: list[tuple[slice, int]] = []
+        for number, run in enumerate(design.runs):
+            length = float(design.duration_s[run].sum())
+            count = max(1, min(pieces, int(length // SHORTEST_FOLD_S)))
+            edges = np.linspace(run.start, run.stop, count + 1).astype(int)
+            folds += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
         sums = np.stack([(rows[:, part] * design.duration_s[part]) @ rows[:, part].T for part, _ in folds])
         seconds = np.array([float(design.duration_s[part].sum()) for part, _ in folds])
         return cls(sums, seconds, design.layout.prior_sd[:q], np.array([run for _, run in folds], dtype=np.intp))
@@ -226,59 +232,38 @@ class LeastSquares:
         return value
 
 
-def _folds(design: Design) -> list[tuple[slice, int]]:
-    pieces = -(-FEWEST_FOLDS // len(design.runs)) if len(design.runs) < FEWEST_FOLDS - 2 else 1
-    found: list[tuple[slice, int]] = []
-    for number, run in enumerate(design.runs):
-        length = float(design.duration_s[run].sum())
-        count = max(1, min(pieces, int(length // SHORTEST_FOLD_S)))
-        edges = np.linspace(run.start, run.stop, count + 1).astype(int)
-        found += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
-    return found
-
-
 def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
-    """Delay or lag of the meter, zero unless left-out runs are predicted better with it, most of them.
+    """Delay or lag of the meter, zero unless left-out runs are predicted better with it, most of them: a large gain in
+    a few is no clock of the meter.
 
     Delay and lag together only where they predict better than the best of each alone: opposite ones are a filter
     that smooths the motion, not a meter.
     """
+    from scipy.special import stdtr
+
     still = Clock.as_logged(len(source.runs))
     reach = max(1.0, source.layout.step_s)
-    known: dict[tuple[float, float], Left] = {}
 
-    def left(delay: float, lag: float) -> Left:
-        key = (round(delay, 3), round(lag, 3))
-        if key not in known:
-            design = source.design(replace(still, delay_s=key[0], lag_s=key[1]), chosen)
-            known[key] = LeastSquares.of(design).leave_out(range(len(chosen)))
-        return known[key]
+    @cache
+    def rounded(delay: float, lag: float) -> Left:
+        design = source.design(replace(still, delay_s=delay, lag_s=lag), chosen)
+        return LeastSquares.of(design).leave_out(range(len(chosen)))
+
+    def left(place: tuple[float, float]) -> Left:
+        return rounded(round(place[0], 3), round(place[1], 3))
 
     best = (0.0, 0.0)
     delays, lags = (np.arange(-0.8, 0.81, 0.2) * reach, np.arange(0.0, 1.01, 0.2) * reach)
     alone = [(float(d), 0.0) for d in delays] + [(0.0, float(t)) for t in lags]
     together = [(float(d), float(t)) for d in delays for t in lags]
     for points in (alone, together):
-        top = _finer(left, min(points, key=lambda p: left(*p).total), 0.1 * reach, points is together)
-        if _better(left(*top), left(*best)):
+        top = min(points, key=lambda place: left(place).total)
+        steps = [(1, 0), (-1, 0)] if points is together or top[1] == 0.0 else []
+        steps += [(0, 1), (0, -1)] if points is together or top[1] != 0.0 else []
+        finer = [(top[0] + i * 0.1 * reach, max(0.0, top[1] + j * 0.1 * reach)) for i, j in steps]
+        top = min([top, *finer], key=lambda place: left(place).total)
+        ratio = np.log(np.maximum(left(top).square, 1e-300) / np.maximum(left(best).square, 1e-300))
+        sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
+        if sd > 0.0 and float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) < DELAY_LEVEL:
             best = top
     return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
-
-
-def _finer(
-    left: Callable[[float, float], Left], point: tuple[float, float], width: float, both: bool
-) -> tuple[float, float]:
-    steps = (
-        [(1, 0), (-1, 0), (0, 1), (0, -1)] if both else ([(1, 0), (-1, 0)] if point[1] == 0.0 else [(0, 1), (0, -1)])
-    )
-    around = [(point[0] + i * width, max(0.0, point[1] + j * width)) for i, j in steps]
-    return min([point, *around], key=lambda p: left(*p).total)
-
-
-def _better(new: Left, old: Left) -> bool:
-    """Whether a clock predicts most folds better: a large gain in a few is no clock of the meter."""
-    from scipy.special import stdtr
-
-    ratio = np.log(np.maximum(new.square, 1e-300) / np.maximum(old.square, 1e-300))
-    sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
-    return sd > 0.0 and float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) < DELAY_LEVEL

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -59,30 +58,54 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
     outliers are read off a first fit, and the second takes them in.
     """
     noise = guess or start_noise(design)
-    likelihood, moves = _Likelihood(design, len(chosen)), bool(np.any(design.random[2]))
+    likelihood = _Likelihood(design, len(chosen), noise)
     for enough in (ROUGHLY, ENOUGH) if thorough else (ENOUGH,):
         rows = Blocks.of(design, noise, design.residual[None, :], chosen)
-        noise = _fitted(likelihood, noise, rows, moves, enough)
+        noise = _fitted(likelihood, noise, rows, enough)
         if enough == ROUGHLY or not thorough:
             noise = _fit_scale(design, noise, chosen)
     return noise
 
 
 class _Likelihood:
-    """Minus two times the restricted log-likelihood plus priors, for any noise, from blocks of unit variance."""
+    """Minus two times the restricted log-likelihood plus priors, for any noise, from blocks of unit variance.
 
-    def __init__(self, design: Design, chosen: int) -> None:
+    A noise is a place x: logarithms of the five parameters of its filter and innovation, then of what differs between
+    runs. Without motion there is no motion gain to fit.
+    """
+
+    def __init__(self, design: Design, chosen: int, noise: Noise) -> None:
         sd = design.layout.prior_sd
         self.fixed = 1 + len(sd) + chosen
         self.precision = np.concatenate([sd**-2.0, np.full(chosen, SHARE_PRIOR)])
         self.log_precision = float(np.sum(np.log(self.precision)))
         self.count, self.stretches = len(design.y), len(design.stretches)
         self.power, self.step_s = design.layout.mean_power_w, design.layout.step_s
+        self.still = [] if np.any(design.random[2]) else [noise.motion_gain]
+        border = max(NOISE_SPLIT_S, 10 * self.step_s)
+        low = (0.05 * self.step_s, border, *[math.exp(-12.0)] * 2, *[math.exp(-25.0)] * 4)
+        high = (border, 40 * border, math.exp(12.0), MOST_SLOW, *[math.exp(15.0)] * 2, LARGEST_GAIN, LARGEST_GAIN)
+        self.low, self.high = (np.log(values)[: 8 - len(self.still)] for values in (low, high))
 
-    def __call__(self, noise: Levels, shape: Shape, blocks: Array) -> float:
-        """For the levels of a noise and its shape."""
-        sd = np.array([noise.offset_w, noise.gain, noise.motion_gain, JITTER_SD_S, LAG_JITTER_SD_S2])
-        total, log_det = total_without_random(blocks, sd, noise.sigma_w)
+    def place(self, noise: Noise) -> Array:
+        """Where a noise lies, within the bounds."""
+        white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
+        shares = (noise.fast_share / white, noise.slow_share / noise.fast_share)
+        start = (noise.fast_s, noise.slow_s, *shares, noise.sigma_w, noise.offset_w, noise.gain, noise.motion_gain)
+        return np.clip(np.log(start)[: len(self.low)], self.low, self.high)
+
+    def shape(self, x: Array) -> Shape:
+        fast_s, slow_s, fast, part = np.exp(x[:4]).tolist()
+        every = 1.0 + fast * (1.0 + part)
+        return self.step_s, fast_s, slow_s, fast / every, fast * part / every
+
+    def levels(self, x: Array) -> list[float]:
+        """Innovation, offset, gain and motion gain; see `Noise`."""
+        return [*np.exp(x[4:]).tolist(), *self.still]
+
+    def __call__(self, x: Array, blocks: Array) -> float:
+        shape, (sigma_w, *between) = self.shape(x), self.levels(x)
+        total, log_det = total_without_random(blocks, np.array([*between, JITTER_SD_S, LAG_JITTER_SD_S2]), sigma_w)
         inner = total[1 : self.fixed, 1 : self.fixed]
         inner.flat[:: self.fixed] += self.precision
         try:
@@ -93,9 +116,6 @@ class _Likelihood:
         rss = float(total[0, 0] - half @ half)
         det = 2.0 * float(np.log(factor.diagonal()).sum()) - self.log_precision
         start = self.stretches * start_factor(*shape)[2]
-        return self.count * math.log(noise.sigma_w**2) + log_det + rss + det + start + self._prior(noise, shape)
-
-    def _prior(self, noise: Levels, shape: Shape) -> float:
         h, fast_s, slow_s, fast_share, slow_share = shape
         white = max(1e-6, 1 - fast_share - slow_share)
         off = (
@@ -104,77 +124,58 @@ class _Likelihood:
             math.log(fast_share / white) - 0.5,
             math.log(slow_share / white) + 1.5,
             0.0,
-            math.log(noise.offset_w / (0.005 * self.power)),
-            math.log(noise.gain / 0.005),
-            math.log(noise.motion_gain / 0.005),
+            math.log(between[0] / (0.005 * self.power)),
+            math.log(between[1] / 0.005),
+            math.log(between[2] / 0.005),
         )
-        return float(np.sum((off / PRIOR_SD) ** 2))
+        prior = float(np.sum((off / PRIOR_SD) ** 2))
+        return self.count * math.log(sigma_w**2) + log_det + rss + det + start + prior
+
+    def information(self, x: Array, blocks: Array) -> Array:
+        """Expected curvature: of the filter from its spectrum (Whittle 1953), of the levels from what the runs say of
+        their random effects, with that of the priors."""
+
+        def log_spectrum(there: Array) -> Array:
+            ar, ma, _ = arma_of(*self.shape(there))
+            own, past = (np.abs(p[0] + p[1] * TURN + p[2] * TURN**2) for p in (ma, ar))
+            return np.asarray(2.0 * np.log(own / past))
+
+        spectrum = log_spectrum(x)
+        slopes = np.full((5, len(spectrum)), 2.0)
+        for i in range(4):
+            slopes[i] = (log_spectrum(x + np.where(np.arange(len(x)) == i, STEP, 0.0)) - spectrum) / STEP
+        out = np.diag(2.0 / PRIOR_SD[: len(x)] ** 2)
+        out[2, 2:4] += out[3, 3]  # the prior is on the slow variance against white
+        out[3, 2] = out[3, 3]
+        out[:5, :5] += self.count / len(spectrum) * slopes @ slopes.T
+        sigma_w, *between = self.levels(x)
+        sd = np.array([*between, JITTER_SD_S, LAG_JITTER_SD_S2]) / sigma_w
+        inner = blocks[:, -len(sd) :, -len(sd) :] * sd[:, None] * sd
+        known = np.linalg.solve(inner + np.eye(len(sd)), inner)[:, : len(x) - 5, : len(x) - 5]
+        out[5:, 5:] += 4.0 * np.sum(known**2, axis=0)
+        return out
 
 
-class Levels(NamedTuple):
-    """Innovation of the noise and what differs between runs; see `Noise`."""
-
-    sigma_w: float
-    offset_w: float
-    gain: float
-    motion_gain: float
-
-
-class _Place(NamedTuple):
-    """Logarithms of the noise's parameters with their bounds, the filter's five first, and what else the noise has."""
-
-    step_s: float
-    motion_gain: float
-    start: Array
-    low: Array
-    high: Array
-
-    @classmethod
-    def of(cls, noise: Noise, moves: bool) -> _Place:
-        border = max(NOISE_SPLIT_S, 10 * noise.step_s)
-        white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
-        shares = (noise.fast_share / white, noise.slow_share / noise.fast_share)
-        start = (noise.fast_s, noise.slow_s, *shares, noise.sigma_w, noise.offset_w, noise.gain, noise.motion_gain)
-        low = (0.05 * noise.step_s, border, *[math.exp(-12.0)] * 2, *[math.exp(-25.0)] * 4)
-        high = (border, 40 * border, math.exp(12.0), MOST_SLOW, *[math.exp(15.0)] * 2, LARGEST_GAIN, LARGEST_GAIN)
-        # without motion there is no motion gain to fit
-        count = len(start) if moves else len(start) - 1
-        own, least, most = (np.log(values)[:count] for values in (start, low, high))
-        return cls(noise.step_s, noise.motion_gain, np.clip(own, least, most), least, most)
-
-    def shape(self, x: Array) -> Shape:
-        fast_s, slow_s, fast, part = np.exp(x[:4]).tolist()
-        every = 1.0 + fast * (1.0 + part)
-        return self.step_s, fast_s, slow_s, fast / every, fast * part / every
-
-    def levels(self, x: Array) -> Levels:
-        return Levels(*[*np.exp(x[4:]).tolist(), self.motion_gain][:4])
-
-
-def _fitted(likelihood: _Likelihood, noise: Noise, rows: Blocks, moves: bool, enough: float) -> Noise:
+def _fitted(cost: _Likelihood, noise: Noise, rows: Blocks, enough: float) -> Noise:
     """Filter and levels at the likelihood's best, by quasi-Newton steps (BFGS) from the expected information.
 
     The Fisher information knows the scale of every parameter and which of them go together, far from the best as well;
     near it, updates from the gradients take in what a misfit of the mean does to the curvature.
     """
-    place = _Place.of(noise, moves)
-    low, high = place.low, place.high
-
-    def cost(x: Array, blocks: Array) -> float:
-        return likelihood(place.levels(x), place.shape(x), blocks)
+    low, high = cost.low, cost.high
 
     def gradient(x: Array, value: float, blocks: Array) -> Array:
         out = np.empty(len(x))
         for i in range(len(x)):
             near = x.copy()
             near[i] += STEP if x[i] + STEP < high[i] else -STEP
-            out[i] = (cost(near, rows.at(place.shape(near)) if i < 4 else blocks) - value) / (near[i] - x[i])
+            out[i] = (cost(near, rows.at(cost.shape(near)) if i < 4 else blocks) - value) / (near[i] - x[i])
         return out
 
-    x = place.start
-    blocks = rows.at(place.shape(x))
+    x = cost.place(noise)
+    blocks = rows.at(cost.shape(x))
     value = cost(x, blocks)
-    slope, curve = gradient(x, value, blocks), _information(place, x, blocks, likelihood.count)
+    slope, curve = gradient(x, value, blocks), cost.information(x, blocks)
     for _ in range(MOST_STEPS):
         free = ~((x <= low) & (slope > 0.0) | (x >= high) & (slope < 0.0))
         step = np.zeros(len(x))
@@ -182,7 +183,7 @@ def _fitted(likelihood: _Likelihood, noise: Noise, rows: Blocks, moves: bool, en
         step *= min(1.0, LARGEST_STEP / float(np.abs(step).max(initial=1e-12)))
         for _ in range(MOST_HALVINGS):
             there = np.clip(x + step, low, high)
-            blocks = rows.at(place.shape(there))
+            blocks = rows.at(cost.shape(there))
             found = cost(there, blocks)
             step = there - x
             promised = -float(slope @ step)
@@ -198,40 +199,15 @@ def _fitted(likelihood: _Likelihood, noise: Noise, rows: Blocks, moves: bool, en
             break
         before, slope = slope, gradient(x, value, blocks)
         if fall > FAR:
-            curve = _information(place, x, blocks, likelihood.count)
+            curve = cost.information(x, blocks)
             continue
         rise, was = slope - before, curve @ step
         if rise @ step > 0.05 * (was @ step):  # else it would no longer be a minimum
             curve = curve + np.outer(rise, rise) / (rise @ step) - np.outer(was, was) / (was @ step)
-    _, fast_s, slow_s, fast_share, slow_share = place.shape(x)
-    filtered = replace(noise, fast_s=fast_s, slow_s=slow_s, fast_share=fast_share, slow_share=slow_share)
-    return replace(filtered, **place.levels(x)._asdict())
-
-
-def _information(place: _Place, x: Array, blocks: Array, count: int) -> Array:
-    """Expected curvature of the likelihood: of the filter from its spectrum (Whittle 1953), of the levels from what the
-    runs say of their random effects, with that of the priors."""
-    spectrum = _log_spectrum(place.shape(x))
-    slopes = np.full((5, len(spectrum)), 2.0)
-    for i in range(4):
-        slopes[i] = (_log_spectrum(place.shape(x + np.where(np.arange(len(x)) == i, STEP, 0.0))) - spectrum) / STEP
-    out = np.diag(2.0 / PRIOR_SD[: len(x)] ** 2)
-    out[2, 2:4] += out[3, 3]  # the prior is on the slow variance against white
-    out[3, 2] = out[3, 3]
-    out[:5, :5] += count / len(spectrum) * slopes @ slopes.T
-    levels = place.levels(x)
-    sd = np.array([*levels[1:], JITTER_SD_S, LAG_JITTER_SD_S2]) / levels.sigma_w
-    inner = blocks[:, -len(sd) :, -len(sd) :] * sd[:, None] * sd
-    known = np.linalg.solve(inner + np.eye(len(sd)), inner)[:, : len(x) - 5, : len(x) - 5]
-    out[5:, 5:] += 4.0 * np.sum(known**2, axis=0)
-    return out
-
-
-def _log_spectrum(shape: Shape) -> Array:
-    """Logarithm of the power spectrum of noise with innovations of unit variance, evenly over all frequencies."""
-    ar, ma, _ = arma_of(*shape)
-    own, past = (np.abs(p[0] + p[1] * TURN + p[2] * TURN**2) for p in (ma, ar))
-    return np.asarray(2.0 * np.log(own / past))
+    _, fast_s, slow_s, fast_share, slow_share = cost.shape(x)
+    sigma_w, offset_w, gain, motion_gain = cost.levels(x)
+    noise = replace(noise, fast_s=fast_s, slow_s=slow_s, fast_share=fast_share, slow_share=slow_share)
+    return replace(noise, sigma_w=sigma_w, offset_w=offset_w, gain=gain, motion_gain=motion_gain)
 
 
 def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:

@@ -17,7 +17,6 @@ from missionsim.identify.model import Model, log_likelihood, spread
 from missionsim.identify.noise import (
     START_ROWS,
     Noise,
-    Shape,
     arma_of,
     bounded_noise,
     for_rows,
@@ -198,7 +197,16 @@ class Sieve:
         # means of several rows scatter less, as far as the noise is white or fast
         self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
-        self.filter = _filter(self.shape)
+        # factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit
+        # in each of `BLOCK` + 1 rows, and to one in the two rows and two innovations before them, the older first
+        ar, ma, ratio = arma_of(*self.shape)
+        inverse, diagonal, _ = start_factor(*self.shape)
+        unit = np.eye(BLOCK + 1)
+        answer = recursive(ma, unit + ar[1] * np.eye(BLOCK + 1, k=1) + ar[2] * np.eye(BLOCK + 1, k=2))
+        past = np.zeros((4, BLOCK + 1))
+        past[:, :2] = (ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])
+        echo = recursive(ma, past)
+        self.filter = tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
         known = self.coarse(rows)
         self.known: Array = np.empty(known.shape)
         for part in self.stretches:
@@ -279,19 +287,6 @@ class Sieve:
         information = size - np.sum((others @ self.inverse) * others, axis=1)
         absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
         return Sums(level / max(self.known.shape[1], 1), score, information, absorbed)
-
-
-def _filter(shape: Shape) -> tuple[Rows32, ...]:
-    """Factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit in
-    each of `BLOCK` + 1 rows, and to a unit in the two rows and the two innovations before them, the older first."""
-    ar, ma, ratio = arma_of(*shape)
-    inverse, diagonal, _ = start_factor(*shape)
-    length = BLOCK + 1
-    answer = recursive(ma, np.eye(length) + ar[1] * np.eye(length, k=1) + ar[2] * np.eye(length, k=2))
-    past = np.zeros((4, length))
-    past[:, :2] = (ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])
-    echo = recursive(ma, past)
-    return tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
 
 
 def _coarse_parts(parts: Sequence[slice], starts: NDArray[np.intp]) -> list[slice]:

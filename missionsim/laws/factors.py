@@ -114,9 +114,9 @@ class _Builder:
         numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
         first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
         for n in numbers:
-            written = (x.replace("#", f"{n:g}") for x in (text, symbol))
-            fine = n not in first
-            self.add(name, *written, rank, kind=kind or f"{name} {text}", numbers=(n, *more), fine=fine)
+            written, shown = (x.replace("#", f"{n:g}") for x in (text, symbol))
+            own = kind or f"{name} {text}"
+            self.add(name, written, shown, rank, kind=own, numbers=(n, *more), fine=n not in first)
 
     def powers(self, name: str, text: str, symbol: str, powers: Sequence[int], fine: bool = False) -> None:
         """Powers of a quantity; with `fine`, those between them too, for the second pass alone."""

@@ -30,19 +30,11 @@ ACTS = 0.02
 
 @dataclass(frozen=True)
 class Gates:
-    """What a law must pass, and the numbers behind it."""
+    """What a law must pass to be told."""
 
     share_sd: float
     """Robust standard error of the share of energy (jackknife over blocks)."""
-    z: float
-    """Share over its robust standard error."""
-    errors: LeftOut
     passed: dict[str, bool]
-
-    @property
-    def all_passed(self) -> bool:
-        """Whether the law may be told."""
-        return all(self.passed.values())
 
 
 def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
@@ -70,7 +62,7 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
         or (errors.with_law < least * errors.without and errors.better >= (0.75 if clock else 0.5) * errors.acting),
         "several runs": errors.acting >= runs,
     }
-    return Gates(sd, z, errors, passed)
+    return Gates(sd, passed)
 
 
 def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:

@@ -110,7 +110,10 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     # the best form is not near where its sign is wrong at the noise that all are compared at
     late = search.grammar.memory(done.best.form)
     best = [one for one in done.near if one.form == done.best.form and not late]
-    forms = {one.form: one for one in (*_one_each(near, search.grammar), *best)}
+    each: dict[frozenset[str], Scored] = {}  # the first form of each choice of quantities
+    for one in near:
+        each.setdefault(frozenset(search.grammar.variables(one.form)), one)
+    forms = {one.form: one for one in (*each.values(), *best)}
     # lags of like time constants are told apart at the noise that one of them leaves: without, it lasts as long as they
     start = (done.best.model.noise,) if late else ()
     fits = {form: done.best if form == done.best.form else search.fit(form, *start) for form in forms}
@@ -130,14 +133,6 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     return [forms[lead], *others][:MOST_LAWS], beside, fitted, gates(fitted, clock=bool(read[lead] & CLOCKS))
 
 
-def _one_each(near: Sequence[Scored], grammar: Grammar) -> list[Scored]:
-    """The first form of each choice of quantities."""
-    found: dict[frozenset[str], Scored] = {}
-    for one in near:
-        found.setdefault(frozenset(grammar.variables(one.form)), one)
-    return list(found.values())
-
-
 def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identification) -> Proposed | None:
     search = Search(ground, grammar, memory)
     done = search.best()
@@ -148,8 +143,8 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         search, done = on_time, on_time.best() or done
     search, done = by_levels(search, done.best) or (search, done)
     near, beside, fitted, seen = _judged(search, done)
-    was = seen.errors
-    instead = _replaced(fitted, search.ground) if seen.all_passed else ()
+    was, told = fitted.errors, all(seen.passed.values())
+    instead = _replaced(fitted, search.ground) if told else ()
     if instead:
         # what stood in for the law goes, and the law is looked for once more without it
         search = Search(search.ground.without(instead), grammar, memory)
@@ -158,15 +153,17 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
             return None
         search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
-    if not seen.all_passed:
+        told = all(seen.passed.values())
+    if not told:
         return None
-    ground, grammar = search.ground, search.grammar
-    laws = tuple(_law(one, near[0], grammar, fitted, seen, search) for one in near)
+    ground, errors = search.ground, fitted.errors
+    relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
+    laws = tuple(_law(one, near[0], fitted.share, relative, search) for one in near)
     sets = [set(law.variables) for law in laws]
     certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))
     possible = tuple(dict.fromkeys(v for law in laws for v in law.variables if v not in certain))
-    more = [_law(one, near[0], grammar, fitted, seen, search) for one in beside]
-    curve = None if memory else _curve([*laws, *more], ground, seen, abs(fitted.share))
+    more = [_law(one, near[0], fitted.share, relative, search) for one in beside]
+    curve = None if memory else _curve([*laws, *more], ground, relative)
     made = Proposal(
         laws,
         certain,
@@ -177,10 +174,10 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         fitted.rise,
         fitted.penalty,
         tried=search.tried,
-        left_out_rmse_w=(was.without, seen.errors.with_law),
-        left_out_energy_pct=(was.energy_without, seen.errors.energy_with),
-        better=seen.errors.better,
-        runs=seen.errors.acting,
+        left_out_rmse_w=(was.without, errors.with_law),
+        left_out_energy_pct=(was.energy_without, errors.energy_with),
+        better=errors.better,
+        runs=errors.acting,
         experiment=_experiment(laws, curve, possible),
         instead_of=instead,
         looks_like=_twin(fitted, ground, found),
@@ -213,9 +210,8 @@ def _set(near: Sequence[Scored], grammar: Grammar) -> tuple[list[Scored], list[S
     return kept[:MOST_LAWS], beside[:MOST_BESIDE]
 
 
-def _law(one: Scored, first: Scored, grammar: Grammar, fitted: Fitted, seen: Gates, search: Search) -> Law:
-    relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
-    share = fitted.share if one is first else one.share
+def _law(one: Scored, first: Scored, share: float, relative: float, search: Search) -> Law:
+    grammar, share = search.grammar, share if one is first else one.share
     mean = float(np.average(np.abs(search.watts(one.form)), weights=search.ground.design.duration_s))
     k = share * search.ground.mean_power_w / max(mean, 1e-300)
     half = Z95 * relative * abs(k)
@@ -268,75 +264,51 @@ def _twin(fitted: Fitted, ground: Ground, found: Identification) -> str:
     return ""
 
 
-def _values(name: str, ground: Ground) -> Any:
-    """A covariate of all runs, one after the other; texts as an array of texts."""
-    parts = [run[name] for run in ground.covariates]
-    if isinstance(parts[0], Labels):
-        return np.concatenate([p.texts() for p in parts])
-    return np.concatenate(
-        [
-            np.broadcast_to(np.asarray(p, dtype=float), np.shape(run["time_s"]))
-            for p, run in zip(parts, ground.covariates, strict=True)
-        ]
-    )
-
-
-def _curve(laws: Sequence[Law], ground: Ground, seen: Gates, share: float) -> Curve | None:
+def _curve(laws: Sequence[Law], ground: Ground, relative: float) -> Curve | None:
     first = laws[0]
     names = sorted({n for law in laws for n in compile_expression(law.formula).names} - {"k"})
-    data = {name: _values(name, ground) for name in names}
-    rows = len(next(iter(data.values())))
-    power = np.abs(evaluate(first.formula, data, rows))
+    data: dict[str, Any] = {}  # covariates of all runs, one after the other
+    for name in names:
+        parts = [(run[name], np.shape(run["time_s"])) for run in ground.covariates]
+        if isinstance(parts[0][0], Labels):
+            data[name] = np.concatenate([part.texts() for part, _ in parts])
+        else:
+            data[name] = np.concatenate([np.broadcast_to(np.asarray(part, dtype=float), n) for part, n in parts])
+    power = np.abs(evaluate(first.formula, data, len(next(iter(data.values())))))
     active = power > 0.1 * float(np.quantile(power[power > 0.0], 0.95)) if np.any(power > 0.0) else power > 0.0
     if not np.any(active):
         return None
-    typical = {name: _typical(name, data[name][active]) for name in names}
-    own = [n for n in compile_expression(first.formula).names if n != "k" and not isinstance(typical[n], str)]
-    best: tuple[float, str, Array] | None = None
-    for name in own:
-        x = _range(name, data[name], active)
-        height = float(np.ptp(evaluate(first.formula, {**typical, name: x}, POINTS)))
+    typical: dict[str, float | str] = {}
+    ranges: dict[str, Array] = {}
+    for name, values in data.items():
+        if values.dtype.kind in "OUS":
+            texts, count = np.unique(values[active].astype(str), return_counts=True)
+            typical[name] = str(texts[int(np.argmax(count))])
+            continue
+        if not (name in ("accel_m_s2", "slope_rad") or name.startswith("temp")):
+            values = np.abs(values)
+        near = values[active]
+        typical[name] = float(np.median(near))
+        first_x, last_x = (float(q) for q in np.quantile(values, (0.02, 0.98)))
+        last_x = max(last_x, float(np.quantile(near, 0.98)))
+        ranges[name] = np.linspace(min(first_x, float(np.min(near))), last_x, POINTS)
+    lead, highest = "", -np.inf
+    for name in (n for n in compile_expression(first.formula).names if n in ranges):
+        height = float(np.ptp(evaluate(first.formula, {**typical, name: ranges[name]}, POINTS)))
         # a switch has two values and a clock no end: neither leads where another quantity does
         height *= 0.2 if name.startswith("on_") or name.endswith("time_s") else 1.0
-        if best is None or height > best[0]:
-            best = (height, name, x)
-    if best is None:
+        if not lead or height > highest:
+            lead, highest = name, height
+    if not lead:
         return None
-    _, lead, x = best
-    relative = float(np.hypot(seen.share_sd / max(share, 1e-300), SYSTEMATIC))
+    x = ranges[lead]
     curves = np.vstack([law.k * evaluate(law.formula, {**typical, lead: x}, POINTS) for law in laws])
     spread = Z95 * relative * np.abs(curves) + FLOOR * float(np.max(np.abs(curves[0])))
     column = column_of(lead)
     others = {n: v for n, v in typical.items() if n != lead}
-    return Curve(
-        lead,
-        column[0].unit if column is not None else "",
-        tuple(float(v) for v in x),
-        tuple(float(v) for v in curves[0]),
-        tuple(float(v) for v in (curves - spread).min(axis=0)),
-        tuple(float(v) for v in (curves + spread).max(axis=0)),
-        others,
-        float(typical[lead]),
-    )
-
-
-def _typical(name: str, values: Any) -> float | str:
-    if values.dtype.kind in "OUS":
-        texts, count = np.unique(values.astype(str), return_counts=True)
-        return str(texts[int(np.argmax(count))])
-    return float(np.median(values if _signed(name) else np.abs(values)))
-
-
-def _signed(name: str) -> bool:
-    return name in ("accel_m_s2", "slope_rad") or name.startswith("temp")
-
-
-def _range(name: str, values: Array, active: Any) -> Array:
-    values = values if _signed(name) else np.abs(values)
-    low, high = np.quantile(values, (0.02, 0.98))
-    near = values[active]
-    low, high = min(float(low), float(np.min(near))), max(float(high), float(np.quantile(near, 0.98)))
-    return np.linspace(low, high, POINTS)
+    band = ((curves - spread).min(axis=0), (curves + spread).max(axis=0))
+    at, watts, low, high = (tuple(float(v) for v in values) for values in (x, curves[0], *band))
+    return Curve(lead, column[0].unit if column is not None else "", at, watts, low, high, others, float(typical[lead]))
 
 
 def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str]) -> str:

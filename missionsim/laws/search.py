@@ -7,7 +7,7 @@ evaluated at the raw rate and averaged like every other column.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -105,19 +105,6 @@ class Searched:
     tried: int
 
 
-def _products(factors: Rows32, forms: NDArray[np.intp]) -> Callable[[slice, slice], Rows32]:
-    """Products of factors (factors, n) for some forms over a stretch."""
-
-    def rows_of(some: slice, part: slice) -> Rows32:
-        own = factors[:, part]
-        x = own[forms[some, 0]]
-        for column in range(1, forms.shape[1]):
-            x *= own[forms[some, column]]
-        return x
-
-    return rows_of
-
-
 def _as_good(plainer: LeftOut, errors: LeftOut, far: bool) -> bool:
     """Whether left-out runs are predicted about as well by a plainer law; of eight runs a few are better by chance."""
     if far or len(errors.by_run) < FEW_RUNS or plainer.with_law < NEEDED_ERROR * errors.with_law:
@@ -126,11 +113,6 @@ def _as_good(plainer: LeftOut, errors: LeftOut, far: bool) -> bool:
     repeats = float(np.mean(worse)) >= REPEATS * float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
     # what every run needs is needed, though one needs it most: a payload is constant in runs
     return not repeats and bool(np.any(worse <= 0.0))
-
-
-def _groups(ground: Ground, every: int) -> NDArray[np.intp]:
-    """First row of each group of `every` rows; groups end with their stretch."""
-    return np.concatenate([np.arange(p.start, p.stop, every) for p in ground.design.stretches]).astype(np.intp)
 
 
 class Search:
@@ -142,7 +124,9 @@ class Search:
         self.penalties = [math.log(max(len(forms), 1)) for forms in self.by_size]
         rows = len(ground.design.y)
         self.every = max(1, math.ceil(rows / MOST_ROWS))
-        self.groups = _groups(ground, self.every)
+        # first row of each group of `every` rows; groups end with their stretch
+        parts = [np.arange(part.start, part.stop, self.every) for part in ground.design.stretches]
+        self.groups = np.concatenate(parts).astype(np.intp)
         self._averaged: dict[tuple[int, ...], Array] = {}
 
     @property
@@ -171,7 +155,15 @@ class Search:
         mean_power = self.ground.mean_power_w
         found: list[Scored] = []
         for forms, penalty in zip(among or self.by_size, self.penalties, strict=True):
-            level, score, information, absorbed = sieve(len(forms), _products(factors, forms))
+
+            def rows_of(some: slice, part: slice, forms: NDArray[np.intp] = forms) -> Rows32:
+                own = factors[:, part]
+                x = own[forms[some, 0]]
+                for column in range(1, forms.shape[1]):
+                    x *= own[forms[some, column]]
+                return x
+
+            level, score, information, absorbed = sieve(len(forms), rows_of)
             usable = (information > 0.0) & (absorbed < ABSORBED) & (level > 0.0)
             usable &= (score > 0.0) | back[forms].any(axis=1)
             information = np.where(information > 0.0, information, 1.0)
@@ -253,7 +245,8 @@ class Search:
         plain = self._plainest(top)
         if plain is not top:
             needless = self._variables(top.form) - self._variables(plain.form)
-            top, listed = plain, [self._without(forms, needless) for forms in listed]
+            has = np.array([factor.variable in needless for factor in self.grammar.factors])
+            top, listed = plain, [forms[~has[forms].any(axis=1)] for forms in listed]
             near = self.near(top, listed)
         return Searched(top, tuple(near), self.tried) if near else None
 
@@ -287,11 +280,6 @@ class Search:
         """A part of a law with the numbers that suit it best, which those of the whole law need not be."""
         near = self._exactly(top, [form, *self.grammar.bent(form)])
         return next((one.form for one in near if one.form != top.form), form)
-
-    def _without(self, forms: NDArray[np.intp], variables: set[str]) -> NDArray[np.intp]:
-        """Forms that read none of some quantities."""
-        has = np.array([factor.variable in variables for factor in self.grammar.factors])
-        return forms[~has[forms].any(axis=1)]
 
     def _promising(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """Forms that are worth a noise of their own: those that predict left-out runs, at noise that is at hand, better
@@ -331,23 +319,17 @@ class Search:
         for _ in range(BENDS):
             known = self._exactly(top, ranked)
             ranked = [one.form for one in known]
-            more = [
-                form
-                for one in dict.fromkeys([*ranked[:BENT], *self._unlike(ranked)])
-                for form in self.grammar.bent(one)
-            ]
+            # the best, and the best of those that differ in more than a threshold or a time constant
+            unlike: dict[tuple[Any, ...], tuple[int, ...]] = {}
+            for form in ranked:
+                factors = [self.grammar.factors[i] for i in form]
+                unlike.setdefault(tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors), form)
+            some = dict.fromkeys([*ranked[:BENT], *[*unlike.values()][:BENT]])
+            more = [form for one in some for form in self.grammar.bent(one)]
             if set(more) <= set(ranked):
                 break
             ranked += more
         return self._exactly(top, ranked)
-
-    def _unlike(self, ranked: Sequence[tuple[int, ...]]) -> list[tuple[int, ...]]:
-        """The best forms that differ in more than a threshold or a time constant."""
-        first: dict[tuple[Any, ...], tuple[int, ...]] = {}
-        for form in ranked:
-            factors = [self.grammar.factors[i] for i in form]
-            first.setdefault(tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors), form)
-        return list(first.values())[:BENT]
 
     def _exactly(self, top: Fitted, some: Sequence[tuple[int, ...]]) -> list[Scored]:
         forms = list(dict.fromkeys([top.form, *some]))

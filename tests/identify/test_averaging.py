@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from missionsim.identify.align import alignment
-from missionsim.identify.averaging import Intervals, RunColumns, integral_curves, make_bins
+from missionsim.identify.align import Intervals, RunColumns, alignment, integral_curves, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import KEPT_CURVES, make_source
 from missionsim.identify.gram import eliminate_random, raw_blocks, total_without_random
