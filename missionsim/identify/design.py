@@ -76,10 +76,7 @@ class Design:
 
     def run_index(self) -> NDArray[np.intp]:
         """Number of the run of each row, shape (n,)."""
-        out = np.empty(len(self.y), dtype=np.intp)
-        for j, rows in enumerate(self.runs):
-            out[rows] = j
-        return out
+        return np.repeat(np.arange(len(self.runs)), [rows.stop - rows.start for rows in self.runs])
 
 
 @dataclass

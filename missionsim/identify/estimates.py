@@ -167,7 +167,7 @@ def pairs(model: Model) -> tuple[Pair, ...]:
         left = gram.conditional(rest)
         value = float(gram.coefficients(model.chosen)[0][list(model.chosen).index(a)])
         best: dict[int, float] = {}
-        for b in range(gram.p):
+        for b in range(len(constraints.effect)):
             other = int(constraints.effect[b])
             if other == constraints.effect[a] or b in rest or left[1 + b, 1 + b] <= 1e-9 * gram.full[1 + b, 1 + b]:
                 continue

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from missionsim.files import Json
-from missionsim.identify.proposed import Proposal
+from missionsim.identify.proposed import Proposal, Record
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -31,34 +31,27 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Unexplained:
+class Unexplained(Record):
     """All that remains."""
 
     share_of_residual: float
     depends_on: tuple[str, ...]
     shape: str
     structures: tuple[Structure, ...] = ()
-
-    def to_json(self) -> Json:
-        """The contract's fields."""
-        return {"share_of_residual": self.share_of_residual, "depends_on": list(self.depends_on), "shape": self.shape}
+    untold = ("structures",)
 
 
 SCHEMA = "missionsim.diagnosis/1"
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Record):
     """A coefficient or shape parameter with its 95 % interval, systematic allowance included."""
 
     value: float
     low: float
     high: float
     unit: str = "1"
-
-    def to_json(self) -> Json:
-        """Value, ends of the interval and unit."""
-        return vars(self).copy()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +111,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Judged(Record):
     """A candidate and why it was taken or not."""
 
     effect: str
@@ -130,10 +123,7 @@ class Judged:
     """Not taken, but part of what was found or remains may be its work, so that nothing is excluded."""
     doubtful_share: float | None = None
     """Energy share of one that helps but is not named, because of its form or what else remains."""
-
-    def to_json(self) -> Json:
-        """The contract's fields."""
-        return {name: value for name, value in vars(self).items() if name not in ("open", "doubtful_share")}
+    untold = ("open", "doubtful_share")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +153,7 @@ class Recalibrated:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Experiment(Record):
     """What to drive next."""
 
     separates: tuple[str, ...]
@@ -181,12 +171,11 @@ class Experiment:
     def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
         nats = {name: f"{name}_nats" for name in ("separation_now", "separation_after")}
-        told = {nats.get(name, name): value for name, value in vars(self).items()}
-        return told | {"separates": list(self.separates), "manoeuvre": [dict(part) for part in self.manoeuvre]}
+        return {nats.get(name, name): value for name, value in super().to_json().items()}
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOut(Record):
     """Errors on runs that were not used to fit: as the robot file is, recalibrated, and with the effects found."""
 
     how: str
@@ -198,10 +187,6 @@ class HeldOut:
     RMS of the power error at the analysis rate."""
     shifted: bool = False
     """Whether the runs differ in kind from the fitted ones."""
-
-    def to_json(self) -> Json:
-        """All fields."""
-        return {**vars(self), "runs": list(self.runs)}
 
 
 @dataclass(frozen=True)

@@ -97,11 +97,6 @@ class Gram:
         """Number of base parameters."""
         return len(self.prior_precision)
 
-    @property
-    def p(self) -> int:
-        """Number of candidate columns."""
-        return int(self.per_run.shape[1]) - 1 - self.q
-
     @cached_property
     def full(self) -> Array:
         """[y, Phi] from all runs, base parameters integrated out under their prior, shape (1+p, 1+p)."""

@@ -12,7 +12,7 @@ import numpy as np
 from missionsim.identify.align import Clock, uphill
 from missionsim.identify.data import Constraints
 from missionsim.identify.design import Design, Source
-from missionsim.identify.gram import Gram, innovations, make_gram, random_effects, reduced
+from missionsim.identify.gram import Gram, make_gram, random_effects, reduced
 from missionsim.identify.noise import Noise, start_factor, start_noise
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise, on_rows
@@ -51,11 +51,6 @@ class Model:
     def gram(self) -> Gram:
         """Gram matrices of all columns."""
         return make_gram(self.design, self.noise)
-
-    @cached_property
-    def innovations(self) -> Array:
-        """Whitened residual, shape (n,)."""
-        return innovations(self.design, self.noise, self.chosen)
 
     def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients that a robot file can hold: relative shifts of the base, then shares of columns.

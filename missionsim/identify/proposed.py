@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
+from typing import ClassVar
 
 from missionsim.files import Json
 
@@ -30,6 +31,17 @@ QUANTITY = {
     "scheme": ("control scheme", ""),
 }
 """How people call a quantity, and its unit."""
+
+
+class Record:
+    """A plain record whose JSON is its fields, but for those that are not told."""
+
+    untold: ClassVar[tuple[str, ...]] = ()
+
+    def to_json(self) -> Json:
+        """The fields, tuples as lists."""
+        told = {name: value for name, value in vars(self).items() if name not in self.untold}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in told.items()}
 
 
 @dataclass(frozen=True)
@@ -63,7 +75,7 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(Record):
     """Power of the law over its leading quantity [W], the others held; arrays of shape (points,).
 
     ``low`` and ``high`` bound it for all forms of the set together (about 95 %).
@@ -78,10 +90,6 @@ class Curve:
     at: Mapping[str, float | str]
     usual: float
     """Median of the leading quantity where the law acts."""
-
-    def to_json(self) -> Json:
-        """All fields."""
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in vars(self).items()}
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
-from missionsim.identify.gram import project, random_effects
+from missionsim.identify.gram import innovations, project, random_effects
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.settings import (
     CURVE_LEVEL,
@@ -195,7 +195,8 @@ def periodic(model: Model) -> Structure | None:
 
     design = model.design
     step = design.layout.step_s
-    parts = [model.innovations[r] for r in design.runs if r.stop - r.start >= 64]
+    white = innovations(design, model.noise, model.chosen)
+    parts = [white[r] for r in design.runs if r.stop - r.start >= 64]
     if not parts:
         return None
     longest = max(len(p) for p in parts)

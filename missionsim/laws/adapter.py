@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,15 +172,6 @@ def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground
     return Ground(model, tuple(covariates[i] for i in model.source.kept), held)
 
 
-class Sums(NamedTuple):
-    """Mean size, score, information and the part that a free base absorbs, of each of many rows, shape (k,)."""
-
-    level: Array
-    score: Array
-    information: Array
-    absorbed: Array
-
-
 class Sieve:
     """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
 
@@ -188,11 +179,14 @@ class Sieve:
         design = ground.design
         q, chosen = len(design.gradient), list(ground.chosen)
         self.every, self.starts = every, np.asarray(group)
-        self.stretches = _coarse_parts(design.stretches, self.starts)
-        self.runs = _coarse_parts(design.runs, self.starts)
+        self.counts = np.diff(np.append(self.starts, len(design.y))).astype(float)
+        self.stretches, self.runs = (
+            [slice(*np.searchsorted(self.starts, [part.start, part.stop]).tolist()) for part in parts]
+            for parts in (design.stretches, design.runs)
+        )
         self.shape = (noise.step_s * every, *noise.shape[1:])
-        weight = np.add.reduceat(noise.weight, self.starts) / self._counts(len(design.y))
-        level = np.add.reduceat(noise.scale, self.starts) / self._counts(len(design.y))
+        weight = np.add.reduceat(noise.weight, self.starts) / self.counts
+        level = np.add.reduceat(noise.scale, self.starts) / self.counts
         self.root = np.sqrt(weight).astype(np.float32)
         # means of several rows scatter less, as far as the noise is white or fast
         self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
@@ -228,14 +222,11 @@ class Sieve:
         self.inverse = np.linalg.inv(inside)
         self.free = np.linalg.inv(total[1:, 1:] + np.diag(precision / FREER**2))
 
-    def _counts(self, rows: int) -> Array:
-        return np.diff(np.append(self.starts, rows)).astype(float)
-
     def coarse(self, rows: Array) -> Rows32:
         """Rows (k, n) averaged to the coarser grid."""
         if self.every == 1:
             return rows.astype(np.float32)
-        return np.asarray(np.add.reduceat(rows, self.starts, axis=1) / self._counts(rows.shape[1]), dtype=np.float32)
+        return np.asarray(np.add.reduceat(rows, self.starts, axis=1) / self.counts, dtype=np.float32)
 
     def white(self, rows: Rows32, part: slice) -> Rows32:
         """Whitened rows (k, n of the stretch) of unit variance; `rows` are overwritten.
@@ -260,8 +251,9 @@ class Sieve:
         out *= self.root[part]
         return out
 
-    def __call__(self, count: int, rows_of: Callable[[slice, slice], Rows32]) -> Sums:
-        """Score of `count` rows in W, of which `rows_of` gives some over a stretch, as a new array.
+    def __call__(self, count: int, rows_of: Callable[[slice, slice], Rows32]) -> tuple[Array, Array, Array, Array]:
+        """Mean size, score, information and the part that a free base absorbs, of each of `count` rows in W, shape
+        (count,); `rows_of` gives some of them over a stretch, as a new array.
 
         One stretch after the other, and some of the rows at a time, so that they stay in the processor's cache.
         """
@@ -286,8 +278,4 @@ class Sieve:
         score = cross[:, 0] - others @ self.solved
         information = size - np.sum((others @ self.inverse) * others, axis=1)
         absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
-        return Sums(level / max(self.known.shape[1], 1), score, information, absorbed)
-
-
-def _coarse_parts(parts: Sequence[slice], starts: NDArray[np.intp]) -> list[slice]:
-    return [slice(int(np.searchsorted(starts, p.start)), int(np.searchsorted(starts, p.stop))) for p in parts]
+        return level / max(self.known.shape[1], 1), score, information, absorbed

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,15 +16,6 @@ LEAST_LEVEL = 0.05
 """Less than this part of the highest level is none."""
 TRIED = 5
 """Quantities, best by least squares, whose levels are tried beside those of the best law."""
-
-
-@dataclass(frozen=True)
-class _Levels:
-    form: tuple[int, ...]
-    parts: dict[int, float]
-    """Number of the factor that is 1 on a level -> part of the highest level."""
-    error: float
-    """Of left-out runs under the levels that the others give [W]."""
 
 
 def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
@@ -43,17 +34,23 @@ def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
         if search.ground.model.squares is not None and not search.memory:
             forms += [form for form in _differing(search, levels) if form != rest]
         found = [_with_levels(search, fitted, form, levels) for form in forms if len(form) < len(search.by_size)]
-        best = min((one for one in found if one is not None), key=lambda one: one.error, default=None)
-        if best is None or best.error > LEAST_BETTER * fitted.errors.with_law:
+        error, parts, form = min(
+            (one for one in found if one is not None), key=lambda one: one[0], default=(math.inf, {}, ())
+        )
+        if error > LEAST_BETTER * fitted.errors.with_law:
             continue
-        wider = Search(search.ground, search.grammar.with_levels(name, best.parts), search.memory)
-        form = (*best.form, len(factors))
+        wider = Search(search.ground, search.grammar.with_levels(name, parts), search.memory)
+        form = (*form, len(factors))
         law = wider.fit(form, fitted.model.noise)
         return wider, Searched(law, tuple(wider.near(law, wider.sized([form]))), wider.tried)
     return None
 
 
-def _with_levels(search: Search, fitted: Fitted, form: tuple[int, ...], levels: Sequence[int]) -> _Levels | None:
+def _with_levels(
+    search: Search, fitted: Fitted, form: tuple[int, ...], levels: Sequence[int]
+) -> tuple[float, dict[int, float], tuple[int, ...]] | None:
+    """Error of left-out runs under the levels that the others give [W], and each level's part of the highest, by the
+    number of the factor that is 1 there; with the form."""
     ground = search.ground
     rows = search.columns([(*form, i) for i in levels])
     seen = np.any(rows, axis=1)  # not every floor is turned on
@@ -68,7 +65,7 @@ def _with_levels(search: Search, fitted: Fitted, form: tuple[int, ...], levels: 
     most = max(size.values())
     parts = {i: own / most if own > max(LEAST_LEVEL * most, 0.0) else 0.0 for i, own in size.items()}
     several = np.count_nonzero([*parts.values()]) > 1
-    return _Levels(form, parts, left_out(model, len(levels)).with_law) if several else None
+    return (left_out(model, len(levels)).with_law, parts, form) if several else None
 
 
 def _differing(search: Search, levels: Sequence[int]) -> list[tuple[int, ...]]:

@@ -105,16 +105,6 @@ class Searched:
     tried: int
 
 
-def _as_good(plainer: LeftOut, errors: LeftOut, far: bool) -> bool:
-    """Whether left-out runs are predicted about as well by a plainer law; of eight runs a few are better by chance."""
-    if far or len(errors.by_run) < FEW_RUNS or plainer.with_law < NEEDED_ERROR * errors.with_law:
-        return plainer.with_law < NEEDED_ERROR * errors.with_law
-    worse = np.log(np.maximum(plainer.by_run, 1e-300)) - np.log(np.maximum(errors.by_run, 1e-300))
-    repeats = float(np.mean(worse)) >= REPEATS * float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
-    # what every run needs is needed, though one needs it most: a payload is constant in runs
-    return not repeats and bool(np.any(worse <= 0.0))
-
-
 class Search:
     """All forms of a grammar on one ground."""
 
@@ -270,7 +260,14 @@ class Search:
                 # what wanders raises the likelihood of a clock, and all that is missing that of any quantity
                 trusted = not far and name not in CLOCKS
                 needed = trusted and top.rise - top.penalty > fit.rise - fit.penalty + LEAST_RISE
-                if not needed and _as_good(fit.errors, top.errors, far):
+                as_good = fit.errors.with_law < NEEDED_ERROR * top.errors.with_law
+                if not far and not as_good and len(top.errors.by_run) >= FEW_RUNS:
+                    # of eight runs a few are better by chance; what every run needs is needed, though one needs it
+                    # most: a payload is constant in runs
+                    worse = np.subtract(*(np.log(np.maximum(one.errors.by_run, 1e-300)) for one in (fit, top)))
+                    repeats = float(np.mean(worse)) >= REPEATS * float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
+                    as_good = not repeats and bool(np.any(worse <= 0.0))
+                if not needed and as_good:
                     plainer.append(fit)
             if not plainer:
                 return best
