@@ -109,9 +109,9 @@ class Ground:
 
         def score(delay_s: float, lag_s: float) -> float:
             clock = replace(was, delay_s=delay_s, lag_s=lag_s)
-            there = replace(self, model=replace(self.model, clock=clock, design=source.design(clock, self.chosen)))
-            columns = replace(there, model=replace(there.model, chosen=tuple(range(len(self.chosen)))))
-            design = columns.extended(source.averaged(raw, clock)[0])
+            design, columns = source.design(clock, self.chosen), tuple(range(len(self.chosen)))
+            there = replace(self, model=replace(self.model, clock=clock, design=design, chosen=columns))
+            design = there.extended(source.averaged(raw, clock)[0])
             return log_likelihood(replace(fitted, clock=clock, design=design, squares=None))
 
         if not source.aligned:

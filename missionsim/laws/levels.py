@@ -42,7 +42,7 @@ def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
         wider = Search(search.ground, search.grammar.with_levels(name, parts), search.memory)
         form = (*form, len(factors))
         law = wider.fit(form, fitted.model.noise)
-        return wider, Searched(law, tuple(wider.near(law, wider.sized([form]))), wider.tried)
+        return wider, Searched(law, tuple(wider.near(law, wider.sized([form]))))
     return None
 
 

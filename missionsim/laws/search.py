@@ -85,11 +85,6 @@ class Fitted:
         """Share of energy."""
         return float(self.model.gram.coefficients(self.model.chosen)[0][-1])
 
-    @property
-    def unit(self) -> float:
-        """Coefficient for a share of 1."""
-        return self.model.design.layout.unit(self.column)
-
     @cached_property
     def errors(self) -> LeftOut:
         """Errors of runs left out one at a time."""
@@ -102,7 +97,6 @@ class Searched:
 
     best: Fitted
     near: tuple[Scored, ...]
-    tried: int
 
 
 class Search:
@@ -238,7 +232,7 @@ class Search:
             has = np.array([factor.variable in needless for factor in self.grammar.factors])
             top, listed = plain, [forms[~has[forms].any(axis=1)] for forms in listed]
             near = self.near(top, listed)
-        return Searched(top, tuple(near), self.tried) if near else None
+        return Searched(top, tuple(near)) if near else None
 
     def _variables(self, form: Sequence[int]) -> set[str]:
         return {self.grammar.factors[i].variable for i in form}
