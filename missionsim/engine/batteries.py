@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline, integrate
-from missionsim.engine.curves import Curves, adaptive_runge_kutta, root
+from missionsim.effects.timeline import Timeline, integrate, within
+from missionsim.engine.curves import adaptive_runge_kutta, chebyshev, interpolants, root
 from missionsim.physics import Array, Value
 
 CHARGING, HELD = 1, 2
@@ -25,6 +25,7 @@ CHARGING, HELD = 1, 2
 Taper = tuple[tuple[float, float], ...]
 """Up to which fraction of the capacity which part of the charger's power goes into the battery, the last up to 1."""
 FLAT: Taper = ((1.0, 1.0),)
+_MOST_AT_ONCE = 4096
 _CLEAR = 1e-6
 """State of charge, volts and share of the power by which a margin must be positive to be certainly so."""
 
@@ -52,9 +53,57 @@ class Loads:
         return self.line.changing(self.model) | (np.asarray(self.line.columns["starts"]) > 0.0)
 
     @cached_property
-    def curves(self) -> Curves:
-        """Power within each interval as a function of time, its upper bound, and impulses at the start."""
-        return Curves(self.model, self.line, self.battery, self.values, self.changing, self.energy_j)
+    def impulse_j(self) -> Array:
+        """Energy taken at the very start of each interval [J], shape (n,)."""
+        impulses = self.model.impulses(self.line.covariates(), self.values)
+        own = [joules for key, joules in impulses.items() if key.battery == self.battery]
+        return np.array(np.broadcast_to(sum(own, start=0.0), len(self.line)), dtype=float)
+
+    @cached_property
+    def _pieces(self) -> dict[int, tuple[list[float], list[list[float]]]]:
+        """Of the intervals in which power changes; see `interpolants`."""
+
+        def sample(index: NDArray[np.intp], seconds: Array) -> Array:
+            cov = within(self.model, self.line, index, seconds, self.values)
+            power = self.model.total(cov, self.battery, self.values)
+            return np.broadcast_to(np.asarray(power, dtype=float), seconds.shape)
+
+        index = np.flatnonzero(self.changing)
+        found: dict[int, tuple[list[float], list[list[float]]]] = {}
+        for begin in range(0, index.size, _MOST_AT_ONCE):
+            part = index[begin : begin + _MOST_AT_ONCE]
+            found.update(interpolants(sample, part, self.line.duration_s[part]))
+        return found
+
+    @cached_property
+    def mean_w(self) -> Array:
+        """Mean power of each interval, shape (n,)."""
+        return self.energy_j / self.line.duration_s
+
+    @cached_property
+    def most_w(self) -> Array:
+        """Power that no moment of an interval is above [W], shape (n,); not the least such."""
+        most = self.mean_w.copy()
+        for interval, (_, series) in self._pieces.items():
+            most[interval] = max(one[0] + sum(map(abs, one[1:])) for one in series)
+        return most
+
+    def power(self, interval: int) -> Callable[[float], float]:
+        """Power [W] as a function of the time since the start of an interval [s], without impulses."""
+        if not self.changing[interval]:
+            mean = float(self.mean_w[interval])
+            return lambda _: mean
+        borders, series = self._pieces[interval]
+        parts = [chebyshev(one, high - low) for one, low, high in zip(series, borders, borders[1:], strict=False)]
+        if len(parts) == 1:
+            return parts[0]
+        inner = borders[1:-1]
+
+        def piecewise(seconds: float) -> float:
+            which = bisect_right(inner, seconds)
+            return parts[which](seconds - borders[which])
+
+        return piecewise
 
     @cached_property
     def charged_j(self) -> Array:
@@ -241,11 +290,11 @@ class EquivalentCircuit:
         """
         states, volts = self.curve
         floor, ohm, seconds = float(volts.min()), self.resistance_ohm, loads.line.duration_s
-        high_w = np.maximum(loads.curves.most_w, 0.0)
+        high_w = np.maximum(loads.most_w, 0.0)
         with np.errstate(invalid="ignore", over="ignore"):
             current = _discharge(floor, ohm, high_w)
             stretch = (current * self.rated_time_s / self.charge_c) ** (self.peukert - 1.0)
-            leaving = current * seconds * np.maximum(stretch, 1.0) + np.abs(loads.curves.impulse_j) / floor
+            leaving = current * seconds * np.maximum(stretch, 1.0) + np.abs(loads.impulse_j) / floor
             least = before - leaving / self.charge_c
             voltage = np.interp(least, states, volts)
             terminal = voltage - ohm * _discharge(voltage, ohm, high_w)
@@ -264,14 +313,14 @@ class EquivalentCircuit:
         if loads.charging[interval] == HELD:
             return lambda _: 0.0
         extra = float(loads.charger_w[interval]) if loads.charging[interval] == CHARGING else 0.0
-        power = loads.curves.of(interval)
+        power = loads.power(interval)
         return power if extra == 0.0 else lambda seconds: power(seconds) - extra
 
     def _walk(self, state: float, loads: Loads, interval: int, horizon_s: float) -> list[tuple[float, float]]:
         """Steps (time, state) of an interval whose error is under control."""
         power = self._net(loads, interval)
         if loads.changing[interval] and loads.charging[interval] != HELD:
-            impulse_j = float(loads.curves.impulse_j[interval])
+            impulse_j = float(loads.impulse_j[interval])
             if impulse_j:
                 state -= impulse_j / (self.voltage(state) * self.charge_c)
         return adaptive_runge_kutta(lambda t, s: self.rate(s, power(t)), state, horizon_s)

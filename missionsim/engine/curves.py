@@ -1,94 +1,21 @@
-"""Power of one battery within intervals as functions of time, and the two solvers that its state needs."""
+"""Powers within intervals as functions of time, and the two solvers that the state of a battery needs."""
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Callable, Mapping
-from functools import cached_property
+from collections.abc import Callable
 from math import isfinite, nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline, within
-from missionsim.physics import Array, Value
+from missionsim.physics import Array
 
 Sample = Callable[[NDArray[np.intp], Array], Array]
 """``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
 _NODES = 16
-_MOST_AT_ONCE = 4096
 _MAX_DEPTH, _NOISE_DEPTH, _MOST_PIECES = 30, 9, 4096
 _ROUNDING = 1e-16
 ROOT_TOLERANCE_S = 1e-9
-
-
-class Curves:
-    """Power of one battery in the intervals of a timeline; evaluated for all of them when first asked for.
-
-    `values`: parameters that differ from the model's. `changing` (shape (n,)): where the power changes within the
-    interval. `energy_j` (shape (n,)): of all terms; its mean is the power where nothing changes.
-    """
-
-    def __init__(
-        self,
-        model: PowerModel,
-        line: Timeline,
-        battery: str,
-        values: Mapping[str, Value] | None,
-        changing: NDArray[np.bool_],
-        energy_j: Array,
-    ) -> None:
-        self._model, self._line, self._battery, self._values = model, line, battery, values
-        self._changing = changing
-        self._mean_w = energy_j / line.duration_s
-
-    @cached_property
-    def impulse_j(self) -> Array:
-        """Energy taken at the very start of each interval [J], shape (n,)."""
-        impulses = self._model.impulses(self._line.covariates(), self._values)
-        own = [joules for key, joules in impulses.items() if key.battery == self._battery]
-        return np.array(np.broadcast_to(sum(own, start=0.0), len(self._line)), dtype=float)
-
-    def of(self, interval: int) -> Callable[[float], float]:
-        """Power [W] as a function of the time since the start of an interval [s], without impulses."""
-        if not self._changing[interval]:
-            mean = float(self._mean_w[interval])
-            return lambda _: mean
-        borders, series = self._pieces[interval]
-        if len(series) == 1:
-            return _single(series[0], borders[1])
-        parts = [_single(one, high - low) for one, low, high in zip(series, borders, borders[1:], strict=False)]
-        inner = borders[1:-1]
-
-        def power(seconds: float) -> float:
-            which = bisect_right(inner, seconds)
-            return parts[which](seconds - borders[which])
-
-        return power
-
-    @cached_property
-    def most_w(self) -> Array:
-        """Power that no moment of an interval is above [W], shape (n,); not the least such."""
-        most = self._mean_w.copy()
-        for interval, (_, series) in self._pieces.items():
-            most[interval] = max(one[0] + sum(map(abs, one[1:])) for one in series)
-        return most
-
-    @cached_property
-    def _pieces(self) -> dict[int, tuple[list[float], list[list[float]]]]:
-        index = np.flatnonzero(self._changing)
-        found: dict[int, tuple[list[float], list[list[float]]]] = {}
-        for begin in range(0, index.size, _MOST_AT_ONCE):
-            part = index[begin : begin + _MOST_AT_ONCE]
-            found.update(interpolants(self._sample, part, self._line.duration_s[part]))
-        return found
-
-    def _sample(self, index: NDArray[np.intp], seconds: Array) -> Array:
-        power = self._model.total(
-            within(self._model, self._line, index, seconds, self._values), self._battery, self._values
-        )
-        return np.broadcast_to(np.asarray(power, dtype=float), seconds.shape)
 
 
 def interpolants(
@@ -132,7 +59,7 @@ def interpolants(
     return found
 
 
-def _single(series: list[float], length: float) -> Callable[[float], float]:
+def chebyshev(series: list[float], length: float) -> Callable[[float], float]:
     """Chebyshev series on [0, length] by Clenshaw's recurrence."""
     first, rest, scale = series[0], series[:0:-1], 2.0 / length
 

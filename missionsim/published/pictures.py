@@ -11,7 +11,7 @@ import numpy as np
 from missionsim.files import atomic_write
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, electrical
-from missionsim.published import hou2019, parasuraman2012, patrol, reproduce, rover2025
+from missionsim.published import hou2019, jaiem2021, parasuraman2012, reproduce, rover2025
 from missionsim.published.figures import ABOUT, load_figures, run, shipped_robot
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _stretch(figure: Figure) -> None:
 
 def _patrol_velocity(figure: Figure) -> None:
     axes = figure.subplots()
-    for name, label, style in ((patrol.PLAN, "plan", "--"), (patrol.DRIVEN, "as driven (calibrated)", "-")):
+    for name, label, style in ((jaiem2021.PLAN, "plan", "--"), (jaiem2021.DRIVEN, "as driven (calibrated)", "-")):
         line = run(name).timeline
         speed = np.asarray(line.columns["speed_m_s"])
         edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
@@ -119,7 +119,7 @@ def _patrol_error(figure: Figure) -> None:
     figures = load_figures("jaiem2021")
     left, right = _pair(figure)
     for colour, battery in zip(COLOURS, ("robot", "laptop"), strict=False):
-        found = patrol.error_curve(battery)
+        found = jaiem2021.error_curve(battery)
         left.plot(found.time_s, found.measured_wh, color=colour, label=f"{battery}, as driven")
         left.plot(found.time_s, found.predicted_wh, color=colour, linestyle="--", label=f"{battery}, plan")
         for relative, style in (("predicted", "-"), ("measured", ":")):

@@ -17,7 +17,7 @@ from missionsim.errors import InputError
 from missionsim.files import write_text
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import motion
-from missionsim.published import hou2019, jaiem2021, parasuraman2012, patrol, rover2025
+from missionsim.published import hou2019, jaiem2021, parasuraman2012, rover2025
 from missionsim.published.figures import (
     ABOUT,
     HEAD,
@@ -215,7 +215,7 @@ def patrol_errors() -> Rows:
     figures = load_figures("jaiem2021")
     rows: Rows = []
     for battery in ("robot", "laptop"):
-        curve = patrol.error_curve(battery)
+        curve = jaiem2021.error_curve(battery)
         for relative in ("predicted", "measured"):
             for name, value in curve.statistics(relative).items():
                 row = {"battery": battery, "relative_to": relative, "statistic": name, "ours_pct": value}
@@ -225,7 +225,7 @@ def patrol_errors() -> Rows:
 
 def patrol_uncertainty() -> Rows:
     """The same statistics when the behaviour is drawn from its causes instead of calibrated."""
-    drawn = patrol.uncertain_statistics(DRAWS, SEED)
+    drawn = jaiem2021.uncertain_statistics(DRAWS, SEED)
     figures = load_figures("jaiem2021")
     rows: Rows = []
     for battery, statistics in drawn.items():
