@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,36 +13,24 @@ from missionsim.exchange.site import Site, SiteOptions, clean
 from missionsim.exchange.source import Faults, Value, parse_xml, read_document, read_text
 
 
-@dataclass(frozen=True)
-class Format:
-    """One format of JSON or YAML: its name, what tells it from the others, and its reader."""
-
-    name: str
-    is_this: Callable[[dict[str, Any]], bool]
-    read: Callable[[Value, Site], None]
-
-
-def _keys(*names: str) -> Callable[[dict[str, Any]], bool]:
-    return lambda data: all(name in data for name in names)
-
-
 def _is_order(data: dict[str, Any]) -> bool:
     first = next(iter(data["nodes"]), None) if isinstance(data.get("nodes"), list) else None
     return "orderId" in data or (isinstance(first, dict) and "sequenceId" in first)
 
 
-FORMATS = (
-    Format("Nav2 route graph", lambda data: data.get("type") == "FeatureCollection", nav2.read),
-    Format("layout interchange format", lambda data: "layouts" in data or "origins" in data, vda5050.read_layout),
-    Format("VDA 5050 order", _is_order, vda5050.read),
-    Format("QGroundControl plan", _keys("mission"), qgc.read),
-    Format("QGroundControl plan", _keys("items", "plannedHomePosition"), qgc.read),
-    Format("Open-RMF building map", _keys("levels"), rmf_building.read),
-    Format(
-        "node-link graph", lambda data: "nodes" in data and ("links" in data or "edges" in data), graph.read_node_link
+FORMATS: tuple[tuple[str, Callable[[dict[str, Any]], bool], Callable[[Value, Site], None]], ...] = (
+    ("Nav2 route graph", lambda data: data.get("type") == "FeatureCollection", nav2.read),
+    ("layout interchange format", lambda data: "layouts" in data or "origins" in data, vda5050.read_layout),
+    ("VDA 5050 order", _is_order, vda5050.read),
+    (
+        "QGroundControl plan",
+        lambda data: "mission" in data or {"items", "plannedHomePosition"} <= data.keys(),
+        qgc.read,
     ),
+    ("Open-RMF building map", lambda data: "levels" in data, rmf_building.read),
+    ("node-link graph", lambda data: "nodes" in data and ("links" in data or "edges" in data), graph.read_node_link),
 )
-"""In the order in which they are tried."""
+"""Formats of JSON or YAML in the order in which they are tried: name, what tells it from the others, and its reader."""
 KNOWN = "Nav2 GeoJSON, Open-RMF building.yaml, LIF, GPX, QGroundControl .plan, VDA 5050 order, GraphML, node-link JSON"
 
 
@@ -53,51 +41,41 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
     """
     text = read_text(path)
     name = clean(Path(path).name.split(".")[0]) or "site"
-    site = Site(str(path), "", name, options or SiteOptions())
+    site, faults = Site(str(path), "", name, options or SiteOptions()), Faults(str(path))
     if text.startswith("QGC WPL"):
         site.format = "QGroundControl waypoints"
         qgc.read_text(text, site)
         return site
     if text.lstrip("\ufeff \t\r\n").startswith("<"):
-        return _read_xml(text.lstrip("\ufeff"), site)
+        root = parse_xml(text.lstrip("\ufeff"), site.file)
+        if root.tag == "gpx":
+            site.format = "GPX"
+            gpx.read(root, site, faults)
+            faults.stop()
+        elif root.tag == "graphml":
+            site.format = "GraphML"
+            graph.read_graphml(root, text.lstrip("\ufeff"), site)
+        else:
+            raise InputError(Fault(site.file, root.line, 0, "no format that is known", "", f"<{root.tag}>", KNOWN))
+        return site
     try:
         document = read_document(path, text)
     except InputError as problem:
-        raise InputError([_either(fault) for fault in problem.faults]) from None
+        found = [
+            f if f.allowed or not f.message.startswith("not YAML") else replace(f, allowed=KNOWN)
+            for f in problem.faults
+        ]
+        raise InputError(found) from None
     data = document.data
-    kind = next((f for f in FORMATS if isinstance(data, dict) and "$schema" not in data and f.is_this(data)), None)
-    if kind is None:
-        raise InputError(_unknown(site.file, data))
-    site.format = kind.name
-    faults = Faults(site.file)
-    kind.read(Value(document, faults, document.root), site)
-    faults.stop()
-    return site
-
-
-def _read_xml(text: str, site: Site) -> Site:
-    root = parse_xml(text, site.file)
-    if root.tag == "gpx":
-        site.format = "GPX"
-        faults = Faults(site.file)
-        gpx.read(root, site, faults)
-        faults.stop()
-    elif root.tag == "graphml":
-        site.format = "GraphML"
-        graph.read_graphml(root, text, site)
-    else:
-        raise InputError(Fault(site.file, root.line, 0, "no format that is known", "", f"<{root.tag}>", KNOWN))
-    return site
-
-
-def _either(fault: Fault) -> Fault:
-    return fault if fault.allowed or not fault.message.startswith("not YAML") else replace(fault, allowed=KNOWN)
-
-
-def _unknown(file: str, data: Any) -> Fault:
-    if isinstance(data, dict) and "$schema" in data:
-        return Fault(file, 1, 1, "a JSON schema, not a file that follows it", allowed=KNOWN)
-    if isinstance(data, dict) and "rmf_fleet" in data:
-        return Fault(file, 1, 1, "a fleet, not a site", allowed="missionsim import-robot")
-    keys = ", ".join(list(map(str, data))[:6]) if isinstance(data, dict) else type(data).__name__
-    return Fault(file, 1, 1, "no format that is known", got=f"a file with {keys}"[:120], allowed=KNOWN)
+    known = data if isinstance(data, dict) else {}
+    if "$schema" in known:
+        raise InputError(Fault(site.file, 1, 1, "a JSON schema, not a file that follows it", allowed=KNOWN))
+    for site.format, is_this, read in FORMATS:
+        if is_this(known):
+            read(Value(document, faults, document.root), site)
+            faults.stop()
+            return site
+    if "rmf_fleet" in known:
+        raise InputError(Fault(site.file, 1, 1, "a fleet, not a site", allowed="missionsim import-robot"))
+    keys = ", ".join(list(map(str, known))[:6]) if isinstance(data, dict) else type(data).__name__
+    raise InputError(Fault(site.file, 1, 1, "no format that is known", got=f"a file with {keys}"[:120], allowed=KNOWN))

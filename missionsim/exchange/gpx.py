@@ -13,7 +13,6 @@ import numpy as np
 
 from missionsim.exchange.site import LocalPlane, Site, clean, says_charger, smooth_slopes
 from missionsim.exchange.source import Element, Faults
-from missionsim.physics import Array
 
 _USED = {"gpx": {"trk", "rte", "wpt"}, "trk": {"name", "trkseg"}, "trkseg": {"trkpt"}, "rte": {"name", "rtept"}}
 _POINT_USED = {"ele", "name"}
@@ -45,7 +44,19 @@ def read(root: Element, site: Site, faults: Faults) -> None:
     plane = site.plane([point[:2] for point in every])
     chains = [chain for name, points, is_track in ways if len(chain := _chain(name, points, is_track, plane, site)) > 1]
     for latitude, longitude, _, name, line in marks:
-        _mark(name, plane.to_metres(latitude, longitude), line, site, bool(chains))
+        # the nearest place of a track, where one is near, is called by it; else a place by itself
+        x, y = plane.to_metres(latitude, longitude)
+        away = {k: math.hypot(p["x"] - x, p["y"] - y) for k, p in site.places.items() if "title" not in p}
+        near = min(away, key=lambda key: away[key], default="")
+        if not near or away[near] >= _NEAR_M:
+            site.place(name or "waypoint", (x, y), charger=says_charger(name))
+            if chains:
+                site.tell(f"waypoint further than {_NEAR_M:g} m from each track: a place without a way", line)
+            continue
+        site.places[near]["title"] = name
+        site.tell(f"waypoint within {_NEAR_M:g} m of a track's place is that place's title", line)
+        if says_charger(name):
+            site.places[near]["charger"] = site.options.charger
     if chains:
         site.tell("ways lead both ways: a track has no direction that would forbid the other")
         site.start = chains[0][0]
@@ -99,8 +110,12 @@ def _chain(name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane
     if along[-1] <= 0.0:
         site.tell("left out: track that goes nowhere", points[0][4])
         return []
-    every = [0, *(int(i) + 1 for i in np.flatnonzero(steps > 0.0))]
-    chosen = _sections(along, site.options.smooth_m / 2) if is_track else every
+    chosen = [0, *(int(i) + 1 for i in np.flatnonzero(steps > 0.0))]
+    if is_track:  # points nearest to equal distances along the track, the first and the last among them
+        wanted = np.linspace(0.0, along[-1], max(1, round(along[-1] / max(site.options.smooth_m / 2, 1.0))) + 1)
+        nearest = np.unique(np.searchsorted(along, wanted).clip(0, len(along) - 1))
+        nearest[0], nearest[-1] = 0, len(along) - 1
+        chosen = [int(i) for i in nearest[np.concatenate([[True], np.diff(along[nearest]) > 0.0])]]
     height = np.array([point[2] for point in points])
     known = np.isfinite(height)
     slopes = np.zeros(len(chosen) - 1)
@@ -117,37 +132,9 @@ def _chain(name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane
     names = []
     for count, index in enumerate(chosen):
         word = points[index][3] or f"{clean(name)[:80]} {count}"
-        charger = site.options.charger if says_charger(points[index][3]) else None
-        names.append(site.place(word, (where[index, 0], where[index, 1]), charger=charger))
+        names.append(site.place(word, (where[index, 0], where[index, 1]), charger=says_charger(points[index][3])))
     lengths = np.diff(along[chosen])
     for count, (length, slope) in enumerate(zip(lengths, np.clip(slopes, -1.2, 1.2), strict=True)):
         line, rise = points[chosen[count]][4], float(slope) or None
         site.edge(names[count], names[count + 1], line, both_ways=True, length=float(length), slope=rise)
     return names
-
-
-def _sections(along: Array, step_m: float) -> list[int]:
-    """Points nearest to equal distances along the track, the first and the last among them."""
-    wanted = np.linspace(0.0, along[-1], max(1, round(along[-1] / max(step_m, 1.0))) + 1)
-    chosen = np.unique(np.searchsorted(along, wanted).clip(0, len(along) - 1))
-    chosen[0], chosen[-1] = 0, len(along) - 1
-    return [int(i) for i in chosen[np.concatenate([[True], np.diff(along[chosen]) > 0.0])]]
-
-
-def _mark(name: str, where: tuple[float, float], line: int, site: Site, joined: bool) -> None:
-    """A waypoint: the nearest place of a track, where one is near, is called by it; else a place by itself."""
-    charger = site.options.charger if says_charger(name) else None
-    near, distance = None, _NEAR_M
-    for key, place in site.places.items():
-        away = math.hypot(place["x"] - where[0], place["y"] - where[1])
-        if away < distance and "title" not in place:
-            near, distance = key, away
-    if near is None:
-        site.place(name or "waypoint", where, charger=charger)
-        if joined:
-            site.tell(f"waypoint further than {_NEAR_M:g} m from each track: a place without a way", line)
-        return
-    site.places[near]["title"] = name
-    site.tell(f"waypoint within {_NEAR_M:g} m of a track's place is that place's title", line)
-    if charger:
-        site.places[near]["charger"] = charger

@@ -105,21 +105,38 @@ def _fill(
         found = positions[node.ends[0]]
         where = None if found is None else plane.to_metres(found[0], found[1]) if plane and found[2] else found[:2]
         title = next((clean(str(node.attributes[key])) for key in _TITLE if node.attributes.get(key)), "")
-        charger = site.options.charger if _is_charger(node.attributes) else None
         title = "" if title == node.ends[0] else title
+        told = (
+            (key, value)
+            for key, value in node.attributes.items()
+            if says_charger(key, isinstance(value, str) and value)
+        )
+        charger = next((not says_charger(key) or str(value).lower() not in _NO for key, value in told), False)
         names[node.ends[0]] = site.place(node.ends[0], where, _number(node, _HEIGHT), title=title, charger=charger)
         _left(node, _NODE_USED, "a node", site)
     for edge in edges:
         start, end = names[edge.ends[0]], names[edge.ends[1]]
-        length = _length(edge, site)
+        length = _number(edge, _LENGTH)
+        if length is None and (length := _number(edge, ("weight",))) is not None:
+            site.tell("weight of an edge is taken for its length in metres", edge.line)
+        if length is not None and not 0.0 < length < 1e9:
+            site.tell("left out: length of an edge that is not above 0", edge.line)
+            length = None
         if length is None and site.straight(start, end) is None:
             known = "length, or x and y of both nodes"
             faults.add(edge.line, "how long this edge is, is unknown", " to ".join(edge.ends), known)
             continue
         named = [edge.attributes[key] for key in ("name", "label", "id") if edge.attributes.get(key) is not None]
         name = clean(str(named[0])) if named else ""
-        more = {"max_speed": _speed(edge, site), "slope": _slope(edge, site)}
-        site.edge(start, end, edge.line, name=name, both_ways=not directed, length=length, **more)
+        speed = _speed(edge, site)
+        slope, rise = None, _number(edge, ("grade", "slope"))
+        if rise is not None and abs(rise) > 2.0:
+            site.tell("left out: slope of an edge above 200 % (rise over run is expected)", edge.line)
+        elif rise:
+            site.tell("slope of an edge is rise over run", edge.line)
+            slope = math.atan(rise)
+        more = {"length": length, "max_speed": speed, "slope": slope}
+        site.edge(start, end, edge.line, name=name, both_ways=not directed, **more)
         _left(edge, _EDGE_USED, "an edge", site)
 
 
@@ -152,25 +169,6 @@ def _position(node: Part, degrees: bool) -> tuple[float, float, bool] | None:
     return (y, x, True) if degrees else (x, y, False)
 
 
-def _is_charger(attributes: Mapping[str, Any]) -> bool:
-    for key, value in attributes.items():
-        if says_charger(key):
-            return str(value).lower() not in _NO
-        if isinstance(value, str) and says_charger(value):
-            return True
-    return False
-
-
-def _length(edge: Part, site: Site) -> float | None:
-    length = _number(edge, _LENGTH)
-    if length is None and (length := _number(edge, ("weight",))) is not None:
-        site.tell("weight of an edge is taken for its length in metres", edge.line)
-    if length is not None and not 0.0 < length < 1e9:
-        site.tell("left out: length of an edge that is not above 0", edge.line)
-        return None
-    return length
-
-
 def _speed(edge: Part, site: Site) -> float | None:
     speed = _number(edge, _SPEED)
     if speed is None:
@@ -183,17 +181,6 @@ def _speed(edge: Part, site: Site) -> float | None:
         site.tell("left out: speed of an edge that is not between 0 and 60 m/s", edge.line)
         return None
     return speed
-
-
-def _slope(edge: Part, site: Site) -> float | None:
-    rise = _number(edge, ("grade", "slope"))
-    if rise is None or rise == 0.0:
-        return None
-    if abs(rise) > 2.0:
-        site.tell("left out: slope of an edge above 200 % (rise over run is expected)", edge.line)
-        return None
-    site.tell("slope of an edge is rise over run", edge.line)
-    return math.atan(rise)
 
 
 def _left(part: Part, used: set[str], what: str, site: Site) -> None:

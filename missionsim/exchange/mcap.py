@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.exchange.site import scalar
+from missionsim.exchange.site import flow
 from missionsim.files import atomic_write, needed, write_text
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
     from missionsim.inputs.mission import MissionSpec
     from missionsim.inputs.robot import RobotSpec
-    from missionsim.runs.drive import Driven
-    from missionsim.runs.run import Run
 
 Pose = tuple[Array, Array, Array]
 """x and y [m], heading [rad]."""
@@ -90,29 +88,22 @@ def write_comparison(robot: RobotSpec, logs: Sequence[str | Path], path: str | P
         for run in runs:
             plan = assume(model, run.columns, run.batteries, source=run.source or run.run)
             (driven,) = drive_blocks(plan, [run])
-            yield _measured(run, driven, f"/{_word(run.run)}" if len(runs) > 1 else "")
+            power: dict[str, dict[str, Any]] = {}
+            count = len(run.time_s)
+            for battery, model_w in driven.model_w.items():
+                measured = driven.measured_w[battery]
+                watts = {f"{key.component}/{key.name}": _flat(w, count) for key, w in driven.terms[battery].items()}
+                power[battery] = {"model_w": model_w, "measured_w": measured, "residual_w": measured - model_w}
+                power[battery]["terms"] = watts
+            columns = {name: _flat(value, count) for name, value in run.columns.items() if name != "time_s"}
+            pose = None
+            if "x_m" in run.columns and "y_m" in run.columns:
+                heading = np.asarray(columns.get("heading_rad", np.full(count, math.nan)))
+                pose = (np.asarray(columns["x_m"]), np.asarray(columns["y_m"]), heading)
+            word = "".join(c if c.isalnum() or c in "_-" else "_" for c in run.run) or "run"
+            yield f"/{word}" if len(runs) > 1 else "", run.time_s, power, columns, pose
 
     return _write(path, rows(), "measured_w")
-
-
-def _measured(run: Run, driven: Driven, prefix: str) -> Rows:
-    power: dict[str, dict[str, Any]] = {}
-    count = len(run.time_s)
-    for battery, modelled in driven.model_w.items():
-        measured = driven.measured_w[battery]
-        terms = {f"{key.component}/{key.name}": _flat(w, count) for key, w in driven.terms[battery].items()}
-        power[battery] = {
-            "model_w": modelled,
-            "measured_w": measured,
-            "residual_w": measured - modelled,
-            "terms": terms,
-        }
-    columns = {name: _flat(value, count) for name, value in run.columns.items() if name != "time_s"}
-    pose = None
-    if "x_m" in run.columns and "y_m" in run.columns:
-        heading = np.asarray(columns.get("heading_rad", np.full(count, math.nan)))
-        pose = (np.asarray(columns["x_m"]), np.asarray(columns["y_m"]), heading)
-    return prefix, run.time_s, power, columns, pose
 
 
 def _flat(value: Any, count: int) -> Any:
@@ -195,19 +186,18 @@ def _messages(
     """Topic, JSON schema and messages (nanoseconds, data)."""
     stamps = np.maximum(np.rint(time * 1e9), 0).astype(np.int64).tolist()
     seconds = time.tolist()
+    properties: dict[str, Any]
     for battery, values in power.items():
-        properties: dict[str, Any] = {
-            key: {"type": "number", "description": _POWER[key]} for key in ("time_s", *values)
-        }
+        properties = {key: {"type": "number", "description": _POWER[key]} for key in ("time_s", *values)}
         terms = values.get("terms", {})
         if terms:
             inner = {name: {"type": "number"} for name in terms}
             properties["terms"] = {"type": "object", "description": _POWER["terms"], "properties": inner}
         schema = {"title": f"missionsim.power.{battery}", "type": "object", "properties": properties}
         yield f"{prefix}/power/{battery}", schema, _rows(stamps, {"time_s": seconds, **values})
-    kinds = {name: "number" if isinstance(value, np.ndarray) else "string" for name, value in columns.items()}
-    schema = {"title": "missionsim.state", "type": "object", "properties": {k: {"type": v} for k, v in kinds.items()}}
-    schema["properties"] = {"time_s": {"type": "number", "description": _POWER["time_s"]}, **schema["properties"]}  # type: ignore[dict-item]
+    properties = {"time_s": {"type": "number", "description": _POWER["time_s"]}}
+    properties |= {k: {"type": "number" if isinstance(v, np.ndarray) else "string"} for k, v in columns.items()}
+    schema = {"title": "missionsim.state", "type": "object", "properties": properties}
     yield f"{prefix}/state", schema, _rows(stamps, {"time_s": seconds, **columns})
     if pose is not None:
         yield f"{prefix}/pose", _POSE_SCHEMA, _poses(stamps, seconds, pose)
@@ -289,11 +279,7 @@ def _map(topics: Mapping[str, Collection[str]], name: str, power: str) -> str:
                 if not taken and column_of(field) is not None:
                     signals[f"s_{field}"] = f"{topic}.{field}"
                     columns[field] = f"s_{field}"
-    lines = [f"# for missionsim import {name}.mcap", "kind: map", f"name: {scalar(name)}", "signals:"]
-    lines += [f"  {alias}: {scalar(field)}" for alias, field in signals.items()]
+    lines = [f"# for missionsim import {name}.mcap", "kind: map", f"name: {flow(name)}", "signals:"]
+    lines += [f"  {alias}: {flow(field)}" for alias, field in signals.items()]
     lines += ["timeline: t", "columns:", "  time_s: t", *(f"  {column}: {alias}" for column, alias in columns.items())]
     return "\n".join(lines) + "\n"
-
-
-def _word(text: str) -> str:
-    return "".join(c if c.isalnum() or c in "_-" else "_" for c in text) or "run"

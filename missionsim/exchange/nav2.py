@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.exchange.site import Site, SiteOptions, flow, says_charger, scalar
+from missionsim.exchange.site import Site, SiteOptions, flow, says_charger
 from missionsim.exchange.source import Faults, Value, encoding_of, parse_json, read_text
 from missionsim.inputs.loading import mission_from_text
 from missionsim.inputs.robot import RobotSpec
@@ -22,6 +22,7 @@ from missionsim.inputs.tree import Node
 from missionsim.physics import Array
 
 _TITLES = ("name", "label", "title")
+_LINES = ("LineString", "MultiLineString")
 _SPEEDS = ("speed_limit", "abs_speed_limit")
 
 
@@ -39,7 +40,7 @@ def read(root: Value, site: Site) -> None:
                 feature.fault("a feature without geometry", "Point, LineString or MultiLineString")
         elif kind == "Point":
             nodes.append((properties, geometry))
-        elif kind in ("LineString", "MultiLineString"):
+        elif kind in _LINES:
             edges.append(properties)
         else:
             site.tell(f"left out: {kind or 'a feature of no kind'}: a route graph has points and lines", feature.line)
@@ -72,8 +73,7 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[ob
         _left(properties, site, "a node", _TITLES)
         where = plane.to_metres(position[1], position[0]) if plane else position[:2]
         height = position[2] if len(position) > 2 else None
-        charger = site.options.charger if says_charger(data) else None
-        if charger:
+        if charger := says_charger(data):
             site.tell("node is taken for a charger, because its metadata says so", properties.line)
         names[number] = site.place(str(number), (where[0], where[1]), height, title=title, charger=charger)
     return names
@@ -182,10 +182,12 @@ def export_costs(
     faults.stop()
     known = iter(site.edges)  # one for each edge of the file that leads to another node; ids may stand twice
     top = robot.body.max_speed.value
-    edges = [feature.get("properties") for feature in root.entries("features") if _is_edge(feature)]
     drives: dict[tuple[float, float], float] = {}
     wanted = []
-    for properties in edges:
+    for feature in root.entries("features"):
+        geometry, properties = feature.get("geometry"), feature.get("properties")
+        if geometry is None or geometry.word("type") not in _LINES:
+            continue
         same = properties is None or properties.fields["startid"] == properties.fields["endid"]
         edge = {} if same else next(known)
         limit = min(top, speed or top, edge.get("max_speed") or top)
@@ -216,8 +218,8 @@ def export_costs(
     for begin, end, new in sorted(edits, reverse=True):
         body = body[:begin] + new + body[end:]
     remarks = ["starts, stops and turns are not in the costs: a route knows them, an edge does not"]
-    if len(told) < len(edges):
-        remarks.append(f"{len(edges) - len(told)} edges from a node to itself stay as they are")
+    if len(told) < len(wanted):
+        remarks.append(f"{len(wanted) - len(told)} edges from a node to itself stay as they are")
     if negative:
         remarks.append(
             f"{negative} edges give energy back: their cost is 0, since the route server takes no negative one"
@@ -239,17 +241,12 @@ def steady_power(
 
     scheme = next((name for name, spec in robot.schemes.items() if spec.motion), "")
     defaults = {"scheme": scheme, "profile": "constant_speed", "payload": f"{payload_kg:.9g} kg" if payload_kg else ""}
-    lines = [f"kind: mission\nname: steady\nrobot: {scalar(robot.name)}"]
+    lines = [f"kind: mission\nname: steady\nrobot: {flow(robot.name)}"]
     lines.append(f"defaults: {flow({key: value for key, value in defaults.items() if value})}\nsegments:")
     for slope, speed in drives:
         lines.append(f"  - drive: {{distance: 1 m, slope: {slope:.12g} rad, speed: {speed:.12g} m/s}}")
     legs = make_plan(mission_from_text("\n".join(lines) + "\n", robot)).legs
     return steady_power_w(robot, build_power_model(robot), [leg for leg in legs if leg.kind == "roll"])
-
-
-def _is_edge(feature: Value) -> bool:
-    geometry = feature.get("geometry")
-    return geometry is not None and geometry.word("type") in ("LineString", "MultiLineString")
 
 
 def _edit(properties: Value, cost: float, share: float, edits: list[tuple[int, int, str]]) -> None:

@@ -152,7 +152,14 @@ def build(items: list[Item], home: tuple[float, float] | None, speed: float | No
     faults.stop()
     points = [(item.latitude or 0.0, item.longitude or 0.0) for item in world] + ([home] if home else [])
     plane = site.plane(points) if points else None
-    _Route(items, plane, speed, site, home).drive()
+    route = _Route(plane, speed, site, home)
+    begins: dict[int, int] = {}  # segment at which an item begins, for jumps
+    for item in items:
+        begins[item.number] = len(site.segments)
+        route.follow(item, begins)
+    if not site.segments and route.here:
+        site.segments.append({"wait": {"duration": 0.0}})
+    site.tell("waypoints are joined by straight ways, which lead both ways")
 
 
 def _has_place(item: Item) -> bool:
@@ -164,7 +171,6 @@ def _has_place(item: Item) -> bool:
 class _Route:
     """Follows the commands from place to place."""
 
-    items: list[Item]
     plane: LocalPlane | None
     wanted: float | None
     site: Site
@@ -184,20 +190,20 @@ class _Route:
             self.site.tell(f"a speed of the plan is above the robot's {self.limit:g} m/s, which holds instead")
         return None if not speed else min(speed, self.limit)
 
-    def drive(self) -> None:
-        """Build the site's places, ways and segments."""
-        begins: dict[int, int] = {}  # segment at which an item begins, for jumps
-        for item in self.items:
-            begins[item.number] = len(self.site.segments)
-            self.command(item, begins)
-        if not self.site.segments and self.here:
-            self.site.segments.append({"wait": {"duration": 0.0}})
-        self.site.tell("waypoints are joined by straight ways, which lead both ways")
-
-    def command(self, item: Item, begins: dict[int, int]) -> None:
-        site, first = self.site, item.parameters[0] or 0.0
+    def follow(self, item: Item, begins: dict[int, int]) -> None:
+        """Do what a command says, as far as a robot on the ground does. `begins`: segment at which an item begins."""
+        site, first, second = self.site, item.parameters[0] or 0.0, item.parameters[1] or 0.0
         if item.command in _MOVING and _has_place(item):
-            self.go(item)
+            # a place that is reached again is the same place; metres north and east in a local frame
+            a, b = item.latitude or 0.0, item.longitude or 0.0
+            local = item.frame in _LOCAL_FRAMES or self.plane is None
+            where = (b, a) if local else self.plane.to_metres(a, b) if self.plane else (0.0, 0.0)
+            known = (n for n, p in site.places.items() if math.hypot(p["x"] - where[0], p["y"] - where[1]) < 0.01)
+            name = next(known, "") or site.place(f"waypoint_{item.number or len(site.places)}", where)
+            site.start = site.start or name
+            if item.parameters[6] or item.command == SPLINE:
+                site.tell("left out: altitude", item.line)
+            self.segment(name, item.line)
             if item.command in (WAYPOINT, LOITER_TIME) and first > 0:
                 site.segments.append({"wait": {"duration": first}})
             elif item.command in (LOITER_UNLIMITED, LOITER_TURNS):
@@ -210,24 +216,20 @@ class _Route:
             self.segment(self.home, item.line)
         elif item.command in (DELAY, CONDITION_DELAY) and 0 < first < 1e7:
             site.segments.append({"wait": {"duration": first}})
-        elif item.command == CHANGE_SPEED and (item.parameters[1] or 0.0) > 0:
-            self.speed = self.allowed(item.parameters[1])
-        elif item.command == JUMP:
-            self.jump(item, begins)
+        elif item.command == CHANGE_SPEED and second > 0:
+            self.speed = self.allowed(second)
+        elif item.command == JUMP:  # repeats what lies between an earlier item and this one
+            target, times = int(first), int(second)
+            begin = begins.get(target)
+            block = site.segments[begin:] if begin is not None else []
+            drives = [segment["drive"]["to"] for segment in block if "drive" in segment]
+            if not drives or not 1 <= times <= 10_000 or any("repeat" in segment for segment in block):
+                site.tell(f"left out: jump to item {target}, {times} times (endless, forward or nested)", item.line)
+            else:
+                self.way(drives[0], item.line)
+                site.segments[begin:] = [{"repeat": {"times": times + 1, "segments": block}}]
         else:
             site.tell(f"left out: command {item.command}", item.line)
-
-    def go(self, item: Item) -> None:
-        """Drive to a waypoint; a place that is reached again is the same place."""
-        a, b = item.latitude or 0.0, item.longitude or 0.0
-        local = item.frame in _LOCAL_FRAMES or self.plane is None
-        where = (b, a) if local else self.plane.to_metres(a, b) if self.plane else (0.0, 0.0)  # north, east
-        known = (n for n, p in self.site.places.items() if math.hypot(p["x"] - where[0], p["y"] - where[1]) < 0.01)
-        name = next(known, "") or self.site.place(f"waypoint_{item.number or len(self.site.places)}", where)
-        self.site.start = self.site.start or name
-        if any((item.parameters[6] or 0.0, item.command == SPLINE)):
-            self.site.tell("left out: altitude", item.line)
-        self.segment(name, item.line)
 
     def way(self, to: str, line: int) -> None:
         """The way from here, where there is none yet."""
@@ -244,18 +246,6 @@ class _Route:
                 drive["speed"] = self.speed
             self.site.segments.append({"drive": drive})
         self.here = to
-
-    def jump(self, item: Item, begins: dict[int, int]) -> None:
-        """Repeat what lies between an earlier item and this one."""
-        target, times = int(item.parameters[0] or 0), int(item.parameters[1] or 0)
-        begin = begins.get(target)
-        block = self.site.segments[begin:] if begin is not None else []
-        drives = [segment["drive"]["to"] for segment in block if "drive" in segment]
-        if not drives or not 1 <= times <= 10_000 or any("repeat" in segment for segment in block):
-            self.site.tell(f"left out: jump to item {target}, {times} times (endless, forward or nested)", item.line)
-            return
-        self.way(drives[0], item.line)
-        self.site.segments[begin:] = [{"repeat": {"times": times + 1, "segments": block}}]
 
 
 def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> tuple[Json, tuple[str, ...]]:

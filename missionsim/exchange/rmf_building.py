@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from missionsim.exchange.site import Site, clean, mercator_to_degrees
+from missionsim.exchange.site import EARTH_M, Site, clean
 from missionsim.exchange.source import Value
 
 _SYSTEMS = ("reference_image", "wgs84", "web_mercator", "cartesian_meters")
@@ -197,13 +197,16 @@ def _project(levels: dict[str, _Level], site: Site, mercator: bool) -> None:
     degrees = {}
     every = [point for level in levels.values() for point in level.points if point is not None]
     drawn = all(0 <= point.real <= 256 and 0 <= -point.imag <= 256 for point in every)
-    shift, unit = (complex(-128, 128), math.pi * 6_378_137.0 / 128) if drawn else (0j, 1.0)
+    shift, unit = (complex(-128, 128), math.pi * EARTH_M / 128) if drawn else (0j, 1.0)
     for level in levels.values():
         for index, point in enumerate(level.points):
             if point is None:
                 continue
-            metres = (point + shift) * unit
-            where = mercator_to_degrees(metres.real, metres.imag) if mercator else (point.imag, point.real)
+            where = (point.imag, point.real)
+            if mercator:
+                metres = (point + shift) * unit
+                latitude = math.degrees(2 * math.atan(math.exp(min(metres.imag / EARTH_M, 700.0))) - math.pi / 2)
+                where = (latitude, math.degrees(metres.real / EARTH_M))
             if abs(where[0]) > 90 or abs(where[1]) > 360:
                 level.vertices[index].fault("no longitude and latitude", "-180 to 180 and -90 to 90, degrees")
                 return
@@ -287,7 +290,7 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
             if several and not cabin and (key not in words or list(words.values()).count(word) > 1):
                 word = f"{level.name}_{word}"
             metres = level.at(point)
-            charger = site.options.charger if parameters.get("is_charger") is True else None
+            charger = parameters.get("is_charger") is True
             names[key] = site.place(word, (metres.real, metres.imag), charger=charger)
             if cabin:
                 lifts[cabin] = names[key]
@@ -297,17 +300,12 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
     for level in levels.values():
         for start, end, parameters, lane in level.lanes:
             ends = names.get((level.name, start)), names.get((level.name, end))
-            if ends[0] is not None and ends[1] is not None:
-                _lane(ends[0], ends[1], parameters, lane, site)
-
-
-def _lane(start: str, end: str, parameters: dict[str, Any], lane: Value, site: Site) -> None:
-    both = parameters.get("bidirectional", parameters.get("is_bidirectional", False)) is True
-    limit = parameters.get("speed_limit")
-    speed = float(limit) if isinstance(limit, (int, float)) and 0.0 < limit <= 60.0 else None
-    for key, value in parameters.items():
-        if key not in _LANE_USED and value:
-            site.tell(f"left out: {key[:40]} of a lane", lane.line)
-    if graph := parameters.get("graph_idx", 0):
-        site.tell(f"lane of graph {graph} (--graph takes one graph alone)", lane.line)
-    site.edge(start, end, lane.line, both_ways=both, max_speed=speed)
+            if ends[0] is None or ends[1] is None:
+                continue
+            site.left_out("a lane", ((key, lane) for key, value in parameters.items() if value), _LANE_USED)
+            if graph := parameters.get("graph_idx", 0):
+                site.tell(f"lane of graph {graph} (--graph takes one graph alone)", lane.line)
+            both = parameters.get("bidirectional", parameters.get("is_bidirectional", False)) is True
+            limit = parameters.get("speed_limit")
+            speed = float(limit) if isinstance(limit, (int, float)) and 0.0 < limit <= 60.0 else None
+            site.edge(ends[0], ends[1], lane.line, both_ways=both, max_speed=speed)

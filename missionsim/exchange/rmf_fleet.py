@@ -17,7 +17,7 @@ import numpy as np
 
 from missionsim.effects.covariates import acceleration
 from missionsim.errors import InputError
-from missionsim.exchange.site import Remark, clean, flow, scalar
+from missionsim.exchange.site import Remark, clean, flow
 from missionsim.exchange.source import Faults, Value, encoding_of, read_document, read_text
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.robot import RobotSpec
@@ -79,8 +79,10 @@ class Fleet:
         friction = {"value": n["friction"], "unit": "1", "sd": GUESS_SD, "status": "assumed"}
         components: dict[str, Any] = {"ambient": {"always_on": True, "loads": [_load(battery, n["ambient"])]}}
         components["tool"] = {"loads": [_load(battery, n["tool"])]}
+        word = re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", self.name).lower()).strip("_")[:50]
+        identifier = word if word[:1].isalpha() else f"robot_{word}".rstrip("_")
         lines = [f"# from {Path(self.file).name} (Open-RMF fleet) by missionsim import-robot"]
-        lines += ["kind: robot", f"name: {_identifier(self.name)}", f"title: {scalar(self.name)}"]
+        lines += ["kind: robot", f"name: {identifier}", f"title: {flow(self.name)}"]
         lines.append(
             'notes: "power as rmf_battery plans it: friction, acceleration, ambient, tool; the numbers of the config"'
         )
@@ -96,11 +98,6 @@ def _load(battery: str, watts: float) -> dict[str, Any]:
     return {"battery": battery, "power": {"value": f"{watts:g} W", **spread, "status": "assumed"}}
 
 
-def _identifier(name: str) -> str:
-    word = re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")[:50]
-    return word if word[:1].isalpha() else f"robot_{word}".rstrip("_")
-
-
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet config. Raises InputError: all its faults, with lines."""
     document = read_document(path, read_text(path))
@@ -114,7 +111,13 @@ def read_fleet(path: str | Path) -> Fleet:
         raise AssertionError
     result = Fleet(str(path), clean(fleet.word("name")) or Path(path).stem, {}, {}, ())
     for name, wanted in NUMBERS.items():
-        result.numbers[name] = _number(fleet, wanted)
+        found: Value | None = fleet
+        for key in wanted.path:
+            above, found = found, found and found.get(key)
+            if found is None and above is not None and wanted.default is None:
+                above.fault(f"'{key}' is missing", f"{'.'.join(wanted.path)}: a number")
+        number = found and found.number(wanted.low, wanted.high)
+        result.numbers[name] = number or wanted.default or 0.0
     limits = fleet.get("limits")
     for key, names in (
         ("linear", ("max_speed", "max_acceleration")),
@@ -138,18 +141,6 @@ def read_fleet(path: str | Path) -> Fleet:
         result.remarks["inertia"] = Remark(remark, 0)
     robot_from_text(result.robot_text(), str(path))
     return result
-
-
-def _number(fleet: Value, wanted: Number) -> float:
-    parent = fleet
-    for key in wanted.path:
-        found = parent.get(key)
-        if found is None:
-            if wanted.default is None:
-                parent.fault(f"'{key}' is missing", f"{'.'.join(wanted.path)}: a number")
-            return wanted.default or 0.0
-        parent = found
-    return parent.number(wanted.low, wanted.high) or wanted.default or 0.0
 
 
 @dataclass(frozen=True)
@@ -196,9 +187,29 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
     errors: list[dict[str, Any]] = []
     if logs:
         _fit_to_logs(after, logs, battery, remarks)
-        errors = _errors(robot, fleet, after, logs, battery)
+        from missionsim.compare import compare_files
+
+        models = {
+            "our model": robot,
+            "rmf_battery, config as it was": robot_from_text(fleet.robot_text(battery)),
+            "rmf_battery, measured numbers": robot_from_text(after.robot_text(battery)),
+        }
+        for name, model in models.items():
+            said = compare_files(model, list(logs)).batteries[battery]
+            error = {"energy_error_pct": said.energy_error_pct, "power_rmse_w": said.power_rmse_w}
+            errors.append({"formula": name, **error})
     else:
-        _fit_to_model(after, robot, battery, remarks)
+        from missionsim.exchange.nav2 import steady_power
+
+        speeds = np.linspace(0.1, 1.0, 10) * robot.body.max_speed.value
+        watts = steady_power(robot, [(0.0, speed) for speed in speeds])[battery]
+        slope, level = np.polyfit(speeds, watts, 1)
+        new |= {"friction": max(0.0, float(slope) / (new["mass"] * 9.81)), "ambient": max(0.0, float(level))}
+        miss = np.abs(watts - slope * speeds - level).max()
+        remarks.append(
+            f"no logs: a straight line through our model's power at steady {speeds[0]:g} to {speeds[-1]:g} m/s; "
+            f"it misses by up to {miss:.3g} W"
+        )
     changed = {
         key: (fleet.numbers[key], value) for key, value in new.items() if f"{fleet.numbers[key]:.6g}" != f"{value:.6g}"
     }
@@ -232,36 +243,6 @@ def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list
     for name, value in zip(np.array(["friction", "ambient", "tool"])[seen], best, strict=True):
         fleet.numbers[str(name)] = float(value)
     remarks.append(f"friction and watts: least squares of the power over {len(tables)} runs, {len(target)} rows")
-
-
-def _fit_to_model(fleet: Fleet, robot: RobotSpec, battery: str, remarks: list[str]) -> None:
-    from missionsim.exchange.nav2 import steady_power
-
-    speeds = np.linspace(0.1, 1.0, 10) * robot.body.max_speed.value
-    watts = steady_power(robot, [(0.0, speed) for speed in speeds])[battery]
-    slope, level = np.polyfit(speeds, watts, 1)
-    fleet.numbers["friction"] = max(0.0, float(slope) / (fleet.numbers["mass"] * 9.81))
-    fleet.numbers["ambient"] = max(0.0, float(level))
-    rest = watts - slope * speeds - level
-    remarks.append(
-        f"no logs: a straight line through our model's power at steady {speeds[0]:g} to {speeds[-1]:g} m/s; "
-        f"it misses by up to {np.abs(rest).max():.3g} W"
-    )
-
-
-def _errors(robot: RobotSpec, before: Fleet, after: Fleet, logs: Sequence[Path], battery: str) -> list[dict[str, Any]]:
-    from missionsim.compare import compare_files
-
-    models = {
-        "our model": robot,
-        "rmf_battery, config as it was": robot_from_text(before.robot_text(battery)),
-        "rmf_battery, measured numbers": robot_from_text(after.robot_text(battery)),
-    }
-    result = []
-    for name, model in models.items():
-        found = compare_files(model, list(logs)).batteries[battery]
-        result.append({"formula": name, "energy_error_pct": found.energy_error_pct, "power_rmse_w": found.power_rmse_w})
-    return result
 
 
 def _edited(path: str | Path, changed: dict[str, tuple[float, float]], remarks: list[str]) -> str:

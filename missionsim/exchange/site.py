@@ -21,7 +21,7 @@ from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
 
-_A, _E2 = 6_378_137.0, 6.694379990141e-3
+EARTH_M, _E2 = 6_378_137.0, 6.694379990141e-3
 """Semi-major axis, m, and squared eccentricity of the WGS 84 ellipsoid."""
 
 
@@ -36,35 +36,24 @@ class LocalPlane:
     longitude: float
     """Both: origin, degrees."""
 
-    @classmethod
-    def around(cls, points: Sequence[tuple[float, float]]) -> LocalPlane:
-        """The plane in the middle of (latitude, longitude) points, degrees, rounded to 1e-6."""
-        middle = [(min(values) + max(values)) / 2 for values in zip(*points, strict=True)]
-        return cls(round(middle[0], 6), round(middle[1], 6))
-
     def to_metres(self, latitude: float, longitude: float) -> tuple[float, float]:
         """x (east) and y (north) of a point, m."""
         phi, phi0 = math.radians(latitude), math.radians(self.latitude)
         delta = math.radians((longitude - self.longitude + 180.0) % 360.0 - 180.0)
-        normal = _A / math.sqrt(1 - _E2 * math.sin(phi) ** 2)
-        meridian = _A * (1 - _E2) / (1 - _E2 * math.sin((phi + phi0) / 2) ** 2) ** 1.5
+        normal = EARTH_M / math.sqrt(1 - _E2 * math.sin(phi) ** 2)
+        meridian = EARTH_M * (1 - _E2) / (1 - _E2 * math.sin((phi + phi0) / 2) ** 2) ** 1.5
         east = normal * math.cos(phi) * delta
         return east, meridian * (phi - phi0) + normal * math.sin(phi) * math.cos(phi) * delta**2 / 2
 
     def to_degrees(self, x: float, y: float) -> tuple[float, float]:
         """Latitude and longitude of a point given in metres: `to_metres` inverted by Newton's method."""
-        latitude = self.latitude + math.degrees(y / _A)
-        longitude = self.longitude + math.degrees(x / (_A * math.cos(math.radians(self.latitude))))
+        latitude = self.latitude + math.degrees(y / EARTH_M)
+        longitude = self.longitude + math.degrees(x / (EARTH_M * math.cos(math.radians(self.latitude))))
         for _ in range(5):
             east, north = self.to_metres(latitude, longitude)
-            latitude += math.degrees((y - north) / _A)
-            longitude += math.degrees((x - east) / (_A * math.cos(math.radians(latitude))))
+            latitude += math.degrees((y - north) / EARTH_M)
+            longitude += math.degrees((x - east) / (EARTH_M * math.cos(math.radians(latitude))))
         return latitude, longitude
-
-
-def mercator_to_degrees(x: float, y: float) -> tuple[float, float]:
-    """Latitude and longitude of web Mercator metres (EPSG:3857)."""
-    return math.degrees(2 * math.atan(math.exp(min(y / _A, 700.0))) - math.pi / 2), math.degrees(x / _A)
 
 
 def nurbs_length(
@@ -187,8 +176,8 @@ class Site:
             self.remarks[message] = Remark(message, line)
 
     def plane(self, points: Sequence[tuple[float, float]]) -> LocalPlane:
-        """Metres around the middle of (latitude, longitude) points, degrees; noted in the environment."""
-        plane = LocalPlane.around(points)
+        """Metres around the middle of (latitude, longitude) points, degrees, to 1e-6; noted in the environment."""
+        plane = LocalPlane(*(round((min(values) + max(values)) / 2, 6) for values in zip(*points, strict=True)))
         self.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
         return plane
 
@@ -199,12 +188,21 @@ class Site:
                 self.tell(f"left out: {key[:40]} of {what}", value.line)
 
     def place(
-        self, name: str, position: tuple[float, float] | None, height: float | None = None, **more: object
+        self,
+        name: str,
+        position: tuple[float, float] | None,
+        height: float | None = None,
+        *,
+        charger: bool = False,
+        **more: object,
     ) -> str:
         """Add a place under a name of its own (a taken one gets a number); gives that name."""
         name = _unique(name, self.places)
-        where = {} if position is None else {"x": round(position[0], 6), "y": round(position[1], 6)}
-        self.places[name] = {**{key: value for key, value in more.items() if value not in (None, "")}, **where}
+        self.places[name] = {key: value for key, value in more.items() if value not in (None, "")}
+        if charger:
+            self.places[name]["charger"] = self.options.charger
+        if position is not None:
+            self.places[name] |= {"x": round(position[0], 6), "y": round(position[1], 6)}
         if height is not None:
             self.heights[name] = height
         return name
@@ -275,7 +273,7 @@ class Site:
     def environment_text(self) -> str:
         """The environment file."""
         head = {"kind": "environment", "name": self.name, "title": self.title, "notes": "; ".join(self.notes)}
-        lines = ["places:", *(f"  {scalar(name)}: {flow(place)}" for name, place in self.places.items())]
+        lines = ["places:", *(f"  {flow(name)}: {flow(place)}" for name, place in self.places.items())]
         lines += ["edges:" if self.edges else "edges: []", *(f"  - {flow(edge)}" for edge in self.edges)]
         return self._text(head, lines)
 
@@ -287,7 +285,7 @@ class Site:
         return self._text(head, lines)
 
     def _text(self, head: Mapping[str, str], lines: Iterable[str]) -> str:
-        told = [f"{key}: {scalar(value)}" for key, value in head.items() if value]
+        told = [f"{key}: {flow(value)}" for key, value in head.items() if value]
         return "\n".join(
             [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site", *told, *lines, ""]
         )
@@ -346,23 +344,17 @@ def _unique(name: str, taken: Mapping[str, Any] | set[str]) -> str:
     return candidate
 
 
-def scalar(value: object, key: str = "") -> str:
-    """A value as YAML 1.2 in one line; numbers of known keys get their unit."""
+def flow(value: object, key: str = "") -> str:
+    """Data as YAML 1.2 in one line; numbers of known keys get their unit."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{flow(k)}: {flow(v, k)}" for k, v in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(flow(item) for item in value) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
         number = f"{round(value, 6):.15g}"
         return f"{number} {_UNITS[key]}" if key in _UNITS else number
     text = str(value)
-    if _PLAIN.fullmatch(text) and text.lower() not in _RESERVED:
-        return text
-    return json.dumps(text, ensure_ascii=False)
-
-
-def flow(value: object, key: str = "") -> str:
-    """Mappings and lists as YAML in one line."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{scalar(k)}: {flow(v, k)}" for k, v in value.items()) + "}"
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return "[" + ", ".join(flow(item) for item in value) + "]"
-    return scalar(value, key)
+    plain = _PLAIN.fullmatch(text) and text.lower() not in _RESERVED
+    return text if plain else json.dumps(text, ensure_ascii=False)

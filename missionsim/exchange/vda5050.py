@@ -36,7 +36,9 @@ def read_layout(root: Value, site: Site) -> None:
     layouts = [layout for part in (root, *origins) for layout in part.entries("layouts")]
     if len(origins) > 1:
         site.tell("layouts of several origins: how they lie to each other is not in the file, one origin is assumed")
-    vehicles = {name for layout in layouts for one in _vehicles(layout) for name in _types(one)}
+    parts = (("nodes", _NODE_KEYS), ("edges", _EDGE_KEYS))
+    items = [(item, keys) for layout in layouts for part, keys in parts for item in layout.entries(part)]
+    vehicles = {name for item, keys in items for found in item.entries(*keys) for name in _types(found)}
     if (wanted := site.options.vehicle) and wanted not in vehicles:
         root.fault(f"no edge or node is for vehicle type '{wanted}'", ", ".join(sorted(vehicles)) or "none")
         return
@@ -45,92 +47,69 @@ def read_layout(root: Value, site: Site) -> None:
         site.tell(
             f"all types of vehicle are read, the lowest speed of each edge holds; --vehicle takes one of: {listed}"
         )
+
+    def properties_of(item: Value, keys: tuple[str, ...]) -> list[Value]:
+        return [one for one in item.entries(*keys) if not wanted or wanted in _types(one)]
+
     names: dict[str, str] = {}
-    for layout in layouts:
-        for node in layout.entries("nodes"):
-            _layout_node(node, site, names)
+    for node in (node for layout in layouts for node in layout.entries("nodes")):
+        identity = node.need("nodeId") and node.word("nodeId")
+        position = node.need("nodePosition")
+        x, y = (position.need(key) for key in ("x", "y")) if position else (None, None)
+        numbers = [value.number() if value else None for value in (x, y)]
+        if not identity or numbers[0] is None or numbers[1] is None:
+            continue
+        if identity in names:
+            node.fault("a node's id stands twice", "nodeId of its own")
+            continue
+        properties = properties_of(node, _NODE_KEYS)
+        actions = [action for one in properties for key in _ACTION_KEYS for action in one.entries(key)]
+        others = [action for action in actions if action.word("actionType").lower() != "startcharging"]
+        for action in others:
+            site.tell("left out: action of a node", action.line)
+        heading = next((angle for one in properties if (angle := one.optional("theta")) is not None), None)
+        if heading is not None and abs(heading) > 2 * math.pi:
+            site.tell("left out: theta of a node beyond 2 pi (the format has radians)", node.line)
+            heading = None
+        title = node.word("nodeName") or node.word("nodeDescription") or node.word("nodeDescriptor")
+        where = (numbers[0], numbers[1])
+        charger = len(others) < len(actions)
+        names[identity] = site.place(identity, where, title=title, heading=heading, charger=charger)
     for layout in layouts:
         for station in layout.entries("stations"):
-            _station(station, site, names)
+            keys = ("stationId", "stationName", "stationDescription", "stationDescriptor")
+            words = [station.word(key) for key in keys]
+            for node in station.entries("interactionNodeIds"):
+                if (name := node.named(names)) is None:
+                    continue
+                place = site.places[name]
+                place["title"] = "; ".join(filter(None, [place.get("title", ""), words[1] or words[0]]))
+                if says_charger(*words) and "charger" not in place:
+                    site.tell("station is taken for a charger, because its name says so", station.line)
+                    place["charger"] = site.options.charger
+            known = "station: its name is the title of the nodes it is reached from; its own position is left out"
+            site.tell(known, station.line)
         for edge in layout.entries("edges"):
-            _layout_edge(edge, site, names)
+            start, end = (found.named(names) if (found := edge.need(k)) else None for k in ("startNodeId", "endNodeId"))
+            properties = properties_of(edge, _EDGE_KEYS)
+            if wanted and not properties:
+                site.tell(f"left out: edge that {wanted} may not use", edge.line)
+            elif start is not None and end is not None:
+                limits = [limit for one in properties if (limit := one.get("maxSpeed", "maximumSpeed"))]
+                speeds = [speed for limit in limits if (speed := limit.number(0.0, 60.0))]
+                drawn = [trajectory for one in properties if (trajectory := one.get("trajectory")) is not None]
+                lengths = [length for one in drawn if (length := trajectory_length(one, site, 3)) is not None]
+                for one in properties:
+                    site.left_out("an edge", one.items(), _PROPERTIES_USED)
+                length, speed = max(lengths, default=None), min(speeds, default=None)
+                site.edge(start, end, edge.line, name=edge.word("edgeId"), length=length, max_speed=speed)
     if not names:
         root.fault("a layout without nodes", "layouts with nodes")
-
-
-def _vehicles(layout: Value) -> list[Value]:
-    keys = (("nodes", _NODE_KEYS), ("edges", _EDGE_KEYS))
-    return [found for items, key in keys for item in layout.entries(items) for found in item.entries(*key)]
 
 
 def _types(one: Value) -> set[str]:
     """Types of vehicle that properties are for: one id (1.x), or names of series (2.0)."""
     return {one.word("vehicleTypeId"), *(kind.word("seriesName") for kind in one.entries("mobileRobotTypes"))} - {""}
-
-
-def _properties(item: Value, keys: tuple[str, ...], vehicle: str | None) -> list[Value]:
-    return [one for one in item.entries(*keys) if not vehicle or vehicle in _types(one)]
-
-
-def _layout_node(node: Value, site: Site, names: dict[str, str]) -> None:
-    identity = node.need("nodeId") and node.word("nodeId")
-    position = node.need("nodePosition")
-    x, y = (position.need(key) for key in ("x", "y")) if position else (None, None)
-    numbers = [value.number() if value else None for value in (x, y)]
-    if not identity or numbers[0] is None or numbers[1] is None:
-        return
-    if identity in names:
-        node.fault("a node's id stands twice", "nodeId of its own")
-        return
-    properties = _properties(node, _NODE_KEYS, site.options.vehicle)
-    actions = [action for one in properties for key in _ACTION_KEYS for action in one.entries(key)]
-    charges = any(action.word("actionType").lower() == "startcharging" for action in actions)
-    for action in actions:
-        if action.word("actionType").lower() != "startcharging":
-            site.tell("left out: action of a node", action.line)
-    heading = next((angle for one in properties if (angle := one.optional("theta")) is not None), None)
-    if heading is not None and abs(heading) > 2 * math.pi:
-        site.tell("left out: theta of a node beyond 2 pi (the format has radians)", node.line)
-        heading = None
-    title = node.word("nodeName") or node.word("nodeDescription") or node.word("nodeDescriptor")
-    charger = site.options.charger if charges else None
-    where = (numbers[0], numbers[1])
-    names[identity] = site.place(identity, where, title=title, heading=heading, charger=charger)
-
-
-def _station(station: Value, site: Site, names: dict[str, str]) -> None:
-    words = [station.word(key) for key in ("stationId", "stationName", "stationDescription", "stationDescriptor")]
-    charges = says_charger(*words)
-    for node in station.entries("interactionNodeIds"):
-        if (name := node.named(names)) is None:
-            continue
-        place = site.places[name]
-        place["title"] = "; ".join(filter(None, [place.get("title", ""), words[1] or words[0]]))
-        if charges and "charger" not in place:
-            site.tell("station is taken for a charger, because its name says so", station.line)
-            place["charger"] = site.options.charger
-    site.tell(
-        "station: its name is the title of the nodes it is reached from; its own position is left out", station.line
-    )
-
-
-def _layout_edge(edge: Value, site: Site, names: dict[str, str]) -> None:
-    start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startNodeId", "endNodeId"))
-    properties = _properties(edge, _EDGE_KEYS, site.options.vehicle)
-    if site.options.vehicle and not properties:
-        site.tell(f"left out: edge that {site.options.vehicle} may not use", edge.line)
-        return
-    if start is None or end is None:
-        return
-    limits = [limit for one in properties if (limit := one.get("maxSpeed", "maximumSpeed"))]
-    speeds = [speed for limit in limits if (speed := limit.number(0.0, 60.0))]
-    drawn = [trajectory for one in properties if (trajectory := one.get("trajectory")) is not None]
-    lengths = [length for one in drawn if (length := trajectory_length(one, site, 3)) is not None]
-    for one in properties:
-        site.left_out("an edge", one.items(), _PROPERTIES_USED)
-    length = max(lengths, default=None)
-    name, speed = edge.word("edgeId"), min(speeds, default=None)
-    site.edge(start, end, edge.line, name=name, length=length, max_speed=speed)
 
 
 def trajectory_length(trajectory: Value, site: Site, degree: int) -> float | None:
@@ -159,8 +138,6 @@ def trajectory_length(trajectory: Value, site: Site, degree: int) -> float | Non
 
 
 VERSIONS = ("2.0.0", "2.1.0", "3.0.0")
-_CHARGING = {"startcharging"}
-_QUIET = {"stopcharging"}
 _NODE_USED = {"nodeId", "sequenceId", "nodePosition", "actions", "released", "nodeDescription", "nodeDescriptor"}
 _EDGE_USED = {"edgeId", "sequenceId", "actions", "released", "maxSpeed", "maximumSpeed", "trajectory", "length"}
 _EDGE_USED |= {"startNodeId", "endNodeId", "edgeDescription", "edgeDescriptor"}
@@ -192,7 +169,18 @@ def read(root: Value, site: Site) -> None:
         else:
             _edge(edges.pop(number - 1, None), node, here, name, site)
         here = name
-        _actions(node, site, name)
+        for action in node.entries("actions"):
+            kind = action.word("actionType")
+            given = [p for p in action.entries("actionParameters") if isinstance(p.data, dict)]
+            duration = _duration({p.word("key"): p.fields.get("value") for p in given})
+            if kind.lower() == "startcharging":
+                site.places[name].setdefault("charger", site.options.charger)
+                site.segments.append({"dock": {"recharge": {"until": 1.0}}})
+                site.tell("startCharging: a charger and charging until full", action.line)
+            elif duration is not None:
+                site.segments.append({"wait": {"name": f"{kind} {len(site.segments)}", "duration": duration}})
+            elif kind.lower() != "stopcharging":
+                site.tell(f"left out: action '{kind[:40]}', which tells no duration", action.line)
     for edge in edges.values():
         edge.fault("an edge that leads to no node", "sequenceId one below that of a node")
     if not site.segments and here:
@@ -267,22 +255,6 @@ def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> 
         site.segments.append({"drive": {"to": end} | ({"speed": min(speed, site.speed or speed)} if speed else {})})
     for action in edge.entries("actions"):
         site.tell("left out: action on an edge", action.line)
-
-
-def _actions(node: Value, site: Site, name: str) -> None:
-    for action in node.entries("actions"):
-        kind = action.word("actionType")
-        given = [p for p in action.entries("actionParameters") if isinstance(p.data, dict)]
-        parameters = {p.word("key"): p.fields.get("value") for p in given}
-        duration = _duration(parameters)
-        if kind.lower() in _CHARGING:
-            site.places[name].setdefault("charger", site.options.charger)
-            site.segments.append({"dock": {"recharge": {"until": 1.0}}})
-            site.tell("startCharging: a charger and charging until full", action.line)
-        elif duration is not None:
-            site.segments.append({"wait": {"name": f"{kind} {len(site.segments)}", "duration": duration}})
-        elif kind.lower() not in _QUIET:
-            site.tell(f"left out: action '{kind[:40]}', which tells no duration", action.line)
 
 
 def _duration(parameters: dict[str, Any]) -> float | None:

@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ from missionsim.files import Json, fields_of
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.task import SchemeChoice, VisitSpec
 from missionsim.physics import Array
-from missionsim.planner.bounds import Tour
 from missionsim.planner.core import Label, chain_of
-from missionsim.planner.pieces import Piece
-from missionsim.planner.tour import Site
+from missionsim.planner.pieces import Piece, equipment
+from missionsim.planner.site import Site
+from missionsim.planner.tour import Tour
 
 SCHEMA = "missionsim.plan/1"
 SAME = 1e-9
@@ -211,26 +211,22 @@ def _vectors(chain: list[Label], tour: Tour) -> list[Array]:
             point = earlier.points[label.move[1]]
         elif len(earlier.points) == 1:
             point = earlier.points[0]
-        else:
-            point = before_wait(point, earlier.points + label.move[2], tour.opens(label.node)) - label.move[2]
+        elif (wait := tour.opens(label.node)) is None:
+            point = point - label.move[2]
+        else:  # the point that waiting takes to this one
+            best, points = math.inf, earlier.points + label.move[2]
+            found = points[0]
+            for first, second in itertools.pairwise(points):
+                begin, end = wait(first[None, :])[0], wait(second[None, :])[0]
+                step = end - begin
+                size = float(step @ step)
+                share = min(1.0, max(0.0, float((point - begin) @ step) / size)) if size > 0.0 else 0.0
+                off = float(np.abs(wait((first + share * (second - first))[None, :])[0] - point).max())
+                if off < best:
+                    best, found = off, first + share * (second - first)
+            point = np.asarray(found) - label.move[2]
         vectors.append(point)
     return vectors[::-1]
-
-
-def before_wait(point: Array, points: Array, wait: Callable[..., Array] | None) -> Array:
-    """The point of a chain that waiting takes to another."""
-    if wait is None:
-        return point
-    best, found = math.inf, points[0]
-    for first, second in itertools.pairwise(points):
-        begin, end = wait(first[None, :])[0], wait(second[None, :])[0]
-        step = end - begin
-        size = float(step @ step)
-        share = min(1.0, max(0.0, float((point - begin) @ step) / size)) if size > 0.0 else 0.0
-        off = float(np.abs(wait((first + share * (second - first))[None, :])[0] - point).max())
-        if off < best:
-            best, found = off, first + share * (second - first)
-    return np.asarray(found)
 
 
 def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
@@ -256,8 +252,7 @@ def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
         }
     if leg.visit is not None:
         visit = answer.site.task.visits[leg.visit]
-        given = leg.scheme or visit
-        made |= {"visit": visit.label, "scheme": given.scheme, "navigation": given.navigation, "sensors": given.sensors}
+        made |= {"visit": visit.label, **equipment(leg.scheme or visit)}
     if leg.kind == "charge":
         made["until"] = leg.level
     return made
@@ -269,9 +264,10 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     task = answer.site.task
     folder = Path(target).absolute().parent if target is not None else task.path.absolute().parent
     shipped, robot = task.robot_ref in shipped_robots(), task.robot.path.absolute()
+    energy = ", ".join(f"{value:.4g} Wh {name}" for name, value in answer.energy_wh.items())
     lines = [
         f"# Written by `missionsim plan` from {task.path.name}: edit the task, not this file.",
-        f"# {_summary(answer)}",
+        f"# {answer.duration_s:.1f} s, {energy}; {answer.claim}.",
         *(f"# Planned with --set {path}={value!r}: run it with the same." for path, value in task.elsewhere),
         "kind: mission",
         f"name: {flow(task.name + '_plan')}",
@@ -282,64 +278,37 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     if task.start_heading is not None:
         lines.append(f"start_heading: {task.start_heading.value!r}")
     if task.initial_charge:
-        charges = {name: charge.value for name, charge in task.initial_charge.items()}
-        lines.append(f"initial_charge: {flow(charges)}")
-    data = task.document.data
-    if data.get("defaults"):
-        lines.append(f"defaults: {flow(data['defaults'])}")
+        lines.append(f"initial_charge: {flow({name: charge.value for name, charge in task.initial_charge.items()})}")
+    if defaults := task.document.data.get("defaults"):
+        lines.append(f"defaults: {flow(defaults)}")
     reserve = {name: task.reserve_of(name) for name in task.robot.batteries}
-    policy: dict[str, Any] = {"dock": task.goal, "reserve": reserve}
-    lines.append(f"policy: {flow(policy)}")
-    lines.append("segments:")
+    lines += [f"policy: {flow({'dock': task.goal, 'reserve': reserve})}", "segments:"]
+    payload_kg = 0.0 if task.defaults.payload is None else task.defaults.payload.value
     for leg in answer.legs:
-        lines += _segment(answer, leg)
+        body: dict[str, Any] = {}
+        asked: SchemeChoice | VisitSpec | None = leg.scheme
+        if leg.piece is not None:
+            kind, why, asked = "drive", f"to {leg.place}: ", leg.piece.scheme
+            body = {"along": [leg.piece.name]} | ({} if leg.piece.speed is None else {"speed": leg.piece.speed})
+        elif leg.visit is not None:
+            visit = task.visits[leg.visit]
+            kind, why, given = ("wait", "", visit.wait) if visit.inspect is None else ("inspect", "", visit.inspect)
+            body, asked = {"name": visit.label, "duration": 0.0 if given is None else given.value}, asked or visit
+        elif leg.kind == "wait":
+            until = "until the next round is due" if task.repeat is not None else "until the window opens"
+            kind, why = "wait", f"{until if leg.duration_s > 0.0 else 'a stop at the dock'}: "
+            body = {"duration": leg.duration_s}
+        else:
+            kind, why = "dock", f"at {leg.place}: "
+            body = {"recharge": {"duration": leg.duration_s} if leg.level is None else {"until": leg.level}}
+        body |= {key: value for key, value in equipment(asked).items() if value is not None}
+        if leg.visit is not None or (leg.piece is not None and leg.payload_kg != payload_kg):
+            body["payload"] = leg.payload_kg
+        left = ", ".join(f"{name} {charge:.4g} Wh" for name, charge in leg.charge_wh.items())
+        lines.append(f"  - {kind}: {flow(body)}  # {why}then {left}")
     if not answer.legs:
         lines.append("  - wait: {duration: 0 s}")
     return "\n".join(lines) + "\n"
-
-
-def _summary(answer: Answer) -> str:
-    energy = ", ".join(f"{value:.4g} Wh {name}" for name, value in answer.energy_wh.items())
-    return f"{answer.duration_s:.1f} s, {energy}; {answer.claim}."
-
-
-def _segment(answer: Answer, leg: Leg) -> list[str]:
-    task = answer.site.task
-    if leg.kind == "drive":
-        assert leg.piece is not None
-        piece = leg.piece
-        body: dict[str, Any] = {"along": [piece.name]}
-        if piece.speed is not None:
-            body["speed"] = piece.speed
-        body |= {} if piece.scheme is None else _equipment(piece.scheme)
-        why = f"to {leg.place}"
-    elif leg.kind == "visit":
-        assert leg.visit is not None
-        visit = task.visits[leg.visit]
-        kind, given = ("inspect", visit.inspect) if visit.inspect is not None else ("wait", visit.wait)
-        body = {"name": visit.label, "duration": given.value if given is not None else 0.0}
-        body |= _equipment(visit if leg.scheme is None else leg.scheme)
-        body["payload"] = leg.payload_kg
-        return [f"  - {kind}: {flow(body)}  # {_charges(leg)}"]
-    elif leg.kind == "wait":
-        until = "until the next round is due" if task.repeat is not None else "until the window opens"
-        why = until if leg.duration_s > 0.0 else "a stop at the dock"
-        return [f"  - wait: {flow({'duration': leg.duration_s})}  # {why}: {_charges(leg)}"]
-    else:
-        recharge = {"until": leg.level} if leg.level is not None else {"duration": leg.duration_s}
-        return [f"  - dock: {flow({'recharge': recharge})}  # at {leg.place}: {_charges(leg)}"]
-    if leg.payload_kg != (0.0 if task.defaults.payload is None else task.defaults.payload.value):
-        body["payload"] = leg.payload_kg
-    return [f"  - drive: {flow(body)}  # {why}: {_charges(leg)}"]
-
-
-def _equipment(given: SchemeChoice | VisitSpec) -> dict[str, Any]:
-    asked = {"scheme": given.scheme, "navigation": given.navigation, "sensors": given.sensors}
-    return {key: value for key, value in asked.items() if value is not None}
-
-
-def _charges(leg: Leg) -> str:
-    return "then " + ", ".join(f"{name} {charge:.4g} Wh" for name, charge in leg.charge_wh.items())
 
 
 def flow(value: object) -> str:

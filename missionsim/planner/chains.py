@@ -47,16 +47,6 @@ def least_of_most(first: Array, last: Array) -> Array:
     return np.asarray(np.maximum(found, np.where(cross, there, -math.inf).max(axis=(-2, -1))))
 
 
-def dominated(pieces: Array, starts: NDArray[np.intp], limits: Array) -> bool:
-    """Whether each limit is kept by a point on one of some chains: what a chain dominates is convex, so these suffice.
-
-    `pieces` (shape (2, resources, n)): from a point and how far, those of a chain together; `starts`: where each
-    begins; `limits` (shape (resources, m)).
-    """
-    low, high = _shares(pieces[0][:, None], pieces[1][:, None], limits[:, :, None])
-    return bool(np.logical_or.reduceat(low <= high, starts, axis=1).all(axis=0).any())
-
-
 def within(points: Array, limit: Array) -> Array:
     """The part of a chain of points that keeps to limits, shape (m, resources); empty where none does."""
     if len(points) == 1:
@@ -94,8 +84,16 @@ class Front:
         if chains:
             near = np.flatnonzero((self.lows[:, :chains] <= limits.min(axis=1)[:, None]).all(axis=0))
             for some in (near[:FIRST], near[FIRST:]):
-                if some.size and dominated(*self._of(some), limits):
-                    return False
+                if some.size:
+                    # whether each limit is kept by a point on one of the chains: what a chain dominates is convex, so
+                    # that these suffice
+                    sizes = self.begins[some + 1] - self.begins[some]
+                    starts = np.cumsum(sizes) - sizes
+                    which = np.arange(int(sizes.sum())) + np.repeat(self.begins[some] - starts, sizes)
+                    first, step = self.pieces[:, :, which]
+                    low, high = _shares(first[:, None], step[:, None], limits[:, :, None])
+                    if np.logical_or.reduceat(low <= high, starts, axis=1).all(axis=0).any():
+                        return False
         if len(points) > 1:
             begin = int(self.begins[chains])
             end = begin + len(points) - 1
@@ -112,12 +110,6 @@ class Front:
         self.values[:, self.count] = points[0]
         self.count += 1
         return True
-
-    def _of(self, chains: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
-        """The pieces of some chains, and where those of each begin."""
-        sizes = self.begins[chains + 1] - self.begins[chains]
-        starts = np.cumsum(sizes) - sizes
-        return self.pieces[:, :, np.arange(int(sizes.sum())) + np.repeat(self.begins[chains] - starts, sizes)], starts
 
 
 def _with_room(columns: NDArray[T], count: int) -> NDArray[T]:

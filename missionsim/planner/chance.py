@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import os
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
-from missionsim.errors import Fault, InputError
+from missionsim.errors import InputError
+from missionsim.files import write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
 from missionsim.physics import Array
-from missionsim.planner.answer import Answer, Leg
-from missionsim.planner.draws import Columns, draws_of, mission_file, slack_of, standard_error, surer, told
+from missionsim.planner.answer import Answer, mission_text
 from missionsim.planner.rounds import of_one_kind, plan_rounds
+from missionsim.planner.site import Site, make_site
 from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, WIDE, Watch, solve_site
-from missionsim.planner.tour import Site, make_site
+from missionsim.uncertainty.answers import proportion_interval
+from missionsim.uncertainty.batch import Task, compute_block, prepare
+from missionsim.uncertainty.single import simulate_block
 
+Columns = dict[str, NDArray[Any]]
 TRIES = 6
 CHECKS = 3
 """So often a plan is checked on fresh draws, each time within wider margins."""
@@ -29,24 +38,58 @@ NOTHING = 1e-3
 NEAR = 0.005
 """A share of draws that is no more than this above what is asked is near enough."""
 SEED = 20_260_101
+RUNS, FEW_RUNS = 4096, 200
+"""Draws where arrays evaluate a mission, and where its runs are made one by one."""
 SAME = 1e-9
 
 
+@contextmanager
+def _mission_file(answer: Answer) -> Iterator[str]:
+    """A file of a plan's mission, while it is needed."""
+    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / "mission.yaml"
+        write_text(path, mission_text(answer, path))
+        yield str(path)
+
+
 def as_run(answer: Answer) -> tuple[Answer, RunResult]:
-    """A plan with what SimPy says of its mission where that differs: of what the search takes more simply."""
+    """A plan with what SimPy says of its mission where that differs: of what the search takes more simply.
+
+    Faults and warnings of the mission are told at the place of the task or of its environment where they come from.
+    """
     task = answer.site.task
-    with mission_file(answer) as path:
+    with _mission_file(answer) as path:
         try:
             mission = load_mission(path, overrides=task.elsewhere)
         except InputError as error:
-            raise InputError([_in_task(answer, fault) for fault in error.faults]) from None
+            faults = []
+            for fault in error.faults:
+                first, *rest = fault.path.split(".")
+                where: tuple[str | int, ...] = (first, *rest)
+                if first == "segments":
+                    visit = answer.legs[int(rest[0])].visit
+                    where = ("choose",) if visit is None else ("visits", visit, *rest[2:])
+                if first in ("segments", "defaults"):
+                    got, allowed, hint = fault.got, fault.allowed, fault.hint
+                    fault = task.document.fault(where, fault.message, got=got, allowed=allowed, hint=hint)
+                faults.append(fault)
+            raise InputError(faults) from None
         run = simulate(mission)
     own = {os.path.abspath(item.path): str(item.path) for item in (task.robot, task.environment)}
     known = [(fault, own.get(os.path.abspath(fault.file))) for fault in mission.warnings]
-    told = tuple(replace(fault, file=file) for fault, file in known if file is not None)
+    ours = [replace(fault, file=file) for fault, file in known if file is not None]
+    told = [fault for fault in ours if fault not in task.warnings]
     legs_at = {segment.line: leg for segment, leg in zip(run.segments, answer.legs, strict=False)}
-    doubts = (_at_source(answer, fault, legs_at[fault.line]) if fault.file == path else fault for fault in run.warnings)
-    run = replace(run, warnings=(*(fault for fault in told if fault not in task.warnings), *doubts))
+    for fault in run.warnings:
+        if fault.file == path:
+            leg = legs_at[fault.line]
+            if leg.piece is not None:
+                place = task.environment.document.place(("edges", leg.piece.way.edge))
+            else:
+                place = task.document.place(("visits",) if leg.visit is None else ("visits", leg.visit))
+            fault = place.warning(fault.message, got=fault.got, allowed=fault.allowed)
+        told.append(fault)
+    run = replace(run, warnings=tuple(told))
     plan = [answer.duration_s, *answer.energy_wh.values(), *answer.charge_left_wh.values()]
     batteries = run.batteries.values()
     real = [run.duration_s, *(b.energy_wh for b in batteries), *(b.charge_left_wh for b in batteries)]
@@ -61,34 +104,12 @@ def as_run(answer: Answer) -> tuple[Answer, RunResult]:
         used = {name: float(wh[i]) for name, wh in energy.items()}
         legs.append(replace(leg, duration_s=end - before, energy_wh=used, charge_wh=charge))
         before = end
-    objective = float(answer.site.objective(np.array(real[: 1 + len(energy)])))
+    objective = float(np.array(real[: 1 + len(energy)]) @ answer.site.weights)
     found = replace(answer, legs=legs, duration_s=run.duration_s, objective=objective)
     found.energy_wh = {name: battery.energy_wh for name, battery in run.batteries.items()}
     found.charge_left_wh = {name: battery.charge_left_wh for name, battery in run.batteries.items()}
     found.extra = {**answer.extra, "corrected": float(np.max(np.abs(np.array(real) - plan) / np.maximum(real, SAME)))}
     return found, run
-
-
-def _at_source(answer: Answer, fault: Fault, leg: Leg) -> Fault:
-    """A warning about a leg, at its edge of the environment or its visit of the task."""
-    task = answer.site.task
-    if leg.piece is not None:
-        place = task.environment.document.place(("edges", leg.piece.way.edge))
-    else:
-        place = task.document.place(("visits",) if leg.visit is None else ("visits", leg.visit))
-    return place.warning(fault.message, got=fault.got, allowed=fault.allowed)
-
-
-def _in_task(answer: Answer, fault: Fault) -> Fault:
-    """A fault of the mission that a plan makes, at the place of the task where it comes from."""
-    task, (first, *rest) = answer.site.task, fault.path.split(".")
-    where: tuple[str | int, ...] = (first, *rest)
-    if first == "segments":
-        visit = answer.legs[int(rest[0])].visit
-        where = ("choose",) if visit is None else ("visits", visit, *rest[2:])
-    elif first != "defaults":
-        return fault
-    return task.document.fault(where, fault.message, got=fault.got, allowed=fault.allowed, hint=fault.hint)
 
 
 def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunResult | None]:
@@ -105,20 +126,66 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     if made is None:
         return search.none(asked), None
     answer, run = made
-    return answer, replace(run, warnings=(*run.warnings, *_emptied(answer)))
-
-
-def _emptied(answer: Answer) -> Iterator[Fault]:
-    """A warning for each battery of which nothing is left on the way: whatever takes more than planned ends there."""
-    for b, name in enumerate(answer.site.physics.names):
+    place = task.document.place(("within",))
+    safer = "within: {reserve_throughout: true}, or with_probability for a margin"
+    emptied = []  # batteries of which nothing is left on the way: whatever takes more than planned ends there
+    for name, capacity in site.physics.by_name(site.physics.capacity_wh).items():
         leg = min(answer.legs, key=lambda leg: leg.charge_wh[name], default=None)
-        if leg is not None and leg.charge_wh[name] <= NOTHING * float(answer.site.physics.capacity_wh[b]):
+        if leg is not None and leg.charge_wh[name] <= NOTHING * capacity:
             at = f"on edge '{leg.piece.name}' to '{leg.place}'" if leg.piece is not None else f"at '{leg.place}'"
-            yield answer.site.task.document.place(("within",)).warning(
-                f"nothing is left of battery '{name}' ({leg.charge_wh[name]:.3f} Wh) {at}: the reserve is only asked "
-                "for at the end",
-                allowed="within: {reserve_throughout: true}, or with_probability for a margin",
-            )
+            text = f"nothing is left of battery '{name}' ({leg.charge_wh[name]:.3f} Wh) {at}"
+            emptied.append(place.warning(f"{text}: the reserve is only asked for at the end", allowed=safer))
+    return answer, replace(run, warnings=(*run.warnings, *emptied))
+
+
+def draws_of(answer: Answer, seed: int) -> Columns:
+    """Columns of many runs of a plan's mission, each with values drawn. Where they are evaluated as arrays, what a
+    battery would lack in a run that empties it is known too."""
+    site = answer.site
+    with _mission_file(answer) as path:
+        task = Task(path, site.task.elsewhere, None, seed, "auto")
+        prepared = prepare(task)
+        if prepared.arrays is None:
+            return compute_block(task, 0, FEW_RUNS)
+        drawn = prepared.sampler.draw(seed, 0, RUNS)
+        columns, again = prepared.arrays.evaluate(drawn, RUNS)
+        empty = (_lowest(site, columns) < -SAME * site.physics.capacity_wh[:, None]).any(axis=0)
+        columns["feasible"][empty] = False
+        if (rest := np.flatnonzero(again & ~empty)).size:
+            some = {name: values[rest] for name, values in drawn.items()}
+            mission, model, sampler = prepared.mission, prepared.model, prepared.sampler
+            made = simulate_block(mission, model, sampler, seed, 0, rest.size, draws=some, runs=rest)
+            for name, column in columns.items():
+                column[rest] = made[name]
+        return columns
+
+
+def _lowest(site: Site, columns: Columns) -> Array:
+    """The least charge of each battery in each run [Wh], shape (batteries, runs); not a number where a run that SimPy
+    did ends with none."""
+    return np.array([columns[f"charge_{n}_wh"][:, 0] - columns[f"needed_{n}_wh"] for n in site.physics.names])
+
+
+def _slack_of(site: Site, columns: Columns) -> Array:
+    """What is left before each limit, shape (runs, 2 · batteries + 1): of each battery at the end and on the way [Wh],
+    of the time [s]."""
+    end = np.array([columns[f"margin_{name}_wh"] for name in site.physics.names])
+    way = _lowest(site, columns)
+    if site.task.within.reserve_throughout:
+        way -= np.array([columns[f"charge_left_{name}_wh"] for name in site.physics.names]) - end
+    return np.concatenate([end, way, [site.deadline_s - columns["duration_s"]]]).T
+
+
+def told(site: Site, columns: Columns) -> dict[str, float]:
+    """Share of the runs that hold, with its 95 % interval: those that are feasible, within the deadline, and keep the
+    reserve on the way where that is asked."""
+    count = len(site.physics.names)
+    good = np.asarray(columns["feasible"], dtype=bool) & (columns["duration_s"] <= site.deadline_s * (1.0 + SAME))
+    if site.task.within.reserve_throughout:
+        way = _slack_of(site, columns)[:, count : 2 * count]
+        good &= (way >= -SAME * site.physics.capacity_wh).all(axis=1)
+    low, high = proportion_interval(int(good.sum()), good.size)
+    return {"value": float(good.mean()), "low": low, "high": high, "runs": int(good.size)}
 
 
 @dataclass
@@ -140,25 +207,19 @@ class _Search:
         self.found = Answer(site, False)
         self.first: _Tried | None = None
         self.surest: tuple[dict[str, float], Columns] | None = None
-        self.told = ""
 
     def plan(self, margins: Array, told: str, *, proves: bool = True) -> _Tried | None:
         """The best plan within margins, as it is simulated; with its proof or without."""
         site, physics, count = self.site, self.site.physics, len(self.names)
-        kept = physics.reserve_wh
+        tight = physics.but(reserve_wh=physics.reserve_wh + margins[:count], held_wh=margins[count:-1])
+        within = replace(site, physics=tight, deadline_s=site.deadline_s - float(margins[-1]))
+        labels = MOST_LABELS if proves else FEW_LABELS
 
         def watch(what: str, objective: float, bound: float) -> bool:
             return self.watch(told, objective, bound)
 
-        physics.reserve_wh, physics.held_wh = kept + margins[:count], margins[count:-1]
-        try:
-            within = replace(site, deadline_s=site.deadline_s - float(margins[-1]))
-            if site.task.repeat is not None:
-                self.found = plan_rounds(within, watch)
-            else:
-                self.found = solve_site(within, watch, labels=MOST_LABELS if proves else FEW_LABELS)
-        finally:
-            physics.reserve_wh, physics.held_wh = kept, np.zeros(count)
+        shift = site.task.repeat is not None
+        self.found = plan_rounds(within, watch) if shift else solve_site(within, watch, labels=labels)
         if not self.found.feasible:
             return None
         tried = _Tried(*as_run(replace(self.found, site=site)), margins)
@@ -167,22 +228,38 @@ class _Search:
 
     def simulated(self) -> tuple[Answer, RunResult] | None:
         """The plan that holds when it is simulated, within margins for what the search takes more simply."""
-        margins = np.zeros(2 * len(self.names) + 1)
+        site, within, margins = self.site, self.site.task.within, np.zeros(2 * len(self.names) + 1)
         for attempt in range(TRIES):
             tried = self.plan(margins, f"margins for what the search leaves out, {attempt}" if attempt else "")
             if tried is None:
                 return None
-            late = tried.answer.duration_s - self.site.deadline_s * (1.0 + SAME)
-            short = np.maximum(np.append(_short(tried.answer, tried.run), late), 0.0)
-            if tried.run.feasible and not (short > SAME).any() and not _missed(tried.answer):
-                return tried.answer, tried.run
-            if tried.answer.stopped or not short.any():
+            answer, run = tried.answer, tried.run
+            # what each battery lacks at the end and on the way, and the time
+            end, way = [], []
+            for b, (name, battery) in enumerate(run.batteries.items()):
+                lacks, empty = battery.reserve_required_wh - battery.charge_left_wh, battery.empty_at_s is not None
+                end.append(0.0 if empty else lacks)
+                way.append(max(battery.deficit_wh, 0.0) if empty else 0.0)
+                if within.reserve_throughout:
+                    lowest = float(np.min(run.charge_wh[name], initial=battery.charge_left_wh))
+                    way[-1] = max(way[-1], float(site.physics.reserve_wh[b]) - lowest)
+            short = np.maximum([*end, *way, answer.duration_s - site.deadline_s * (1.0 + SAME)], 0.0)
+            begins = np.cumsum([0.0, *(leg.duration_s for leg in answer.legs)])
+            windows = [None if leg.visit is None else site.task.visits[leg.visit].window for leg in answer.legs]
+            missed = any(
+                window is not None and window.until is not None and begin > window.until.value * (1.0 + SAME) + SAME
+                for window, begin in zip(windows, begins[:-1], strict=True)
+            )
+            if run.feasible and not (short > SAME).any() and not missed:
+                return answer, run
+            if answer.stopped or not short.any():
                 return None
             margins = margins + short * (1.0 + SAME)
         return None
 
     def sure(self, asked: float) -> tuple[Answer, RunResult] | None:
-        """The plan that holds in a share of fresh draws, within margins that are as tight as the draws can tell."""
+        """The plan that holds in a share of fresh draws, within margins that are as tight as the draws can tell; or a
+        better one within these margins, with the proof."""
         target = asked
         for check in range(CHECKS):
             tried = self._tight(target, asked)
@@ -190,15 +267,13 @@ class _Search:
                 return None
             fresh = self._draw(tried, SEED + 1 + check)
             if fresh["value"] >= asked:
-                return self._proved(tried, fresh, asked)
+                break
             if tried.answer.stopped:
                 return None
             # as if half a standard error less had been seen of the draws that the margins were made from
-            target = min(target + asked - fresh["value"] + 0.5 * standard_error(asked, fresh["runs"]), 1.0)
-        return None
-
-    def _proved(self, tried: _Tried, fresh: dict[str, float], asked: float) -> tuple[Answer, RunResult]:
-        """A plan that holds, or a better one within its margins, with the proof."""
+            target = min(target + asked - fresh["value"] + 0.5 * math.sqrt(asked * (1.0 - asked) / fresh["runs"]), 1.0)
+        else:
+            return None
         answer = tried.answer
         vain = answer.extra.get("assumed") and answer.gap > WIDE
         if self.site.task.repeat is None and not answer.stopped and answer.gap > SAME and not vain:
@@ -232,10 +307,8 @@ class _Search:
     def _tight(self, target: float, asked: float) -> _Tried | None:
         """The cheapest plan found that holds in a share of the draws that margins are made from."""
         margins = np.zeros(2 * len(self.names) + 1)
-        low: Array | None = None
-        high: Array | None = None
+        low, high, beyond = None, None, None  # margins within which too few draws hold, enough do, no plan is
         best: _Tried | None = None
-        beyond: Array | None = None
         limits = np.zeros(len(margins), dtype=bool)
         told_of = f"plan for {100 * asked:g} %"
         for attempt in range(TRIES):
@@ -275,14 +348,15 @@ class _Search:
     def _needed(self, tried: _Tried, limits: NDArray[np.bool_], target: float) -> Array:
         """The least margins, alike in share for all limits that matter, within which a share of the draws would be.
         `limits`: which matter; those that some draw of this plan breaks are added."""
-        slack = slack_of(self.site, self.columns)
+        slack = _slack_of(self.site, self.columns)
         one = tried.run.batteries
         nominal = {f"margin_{n}_wh": b.charge_left_wh - b.reserve_required_wh for n, b in one.items()}
         nominal |= {f"charge_left_{n}_wh": b.charge_left_wh for n, b in one.items()}
         nominal |= {f"needed_{n}_wh": b.needed_wh or 0.0 for n, b in one.items()}
+        nominal["duration_s"] = tried.answer.duration_s
         columns: Columns = {name: np.array([value]) for name, value in nominal.items()}
         columns |= {f"charge_{n}_wh": np.array([[b.initial_wh]]) for n, b in one.items()}
-        away = slack_of(self.site, columns | {"duration_s": np.array([tried.answer.duration_s])}) - slack
+        away = _slack_of(self.site, columns) - slack
         limits |= ~(slack >= 0.0).all(axis=0)
         made = np.zeros(len(limits))
         if not limits.any():
@@ -306,38 +380,21 @@ class _Search:
             return Answer(site, False, notes=[note], stopped=True)
         if self.surest is None or asked is None:
             why = self.first.run.reason or "too late, or outside a window"
-            note = (
-                f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
-            )
-            return Answer(site, False, notes=[note])
+            held = f"the plan found does not hold when it is simulated ({why})"
+            return Answer(site, False, notes=[f"{held}, and within margins for that there is none"])
         surest, columns = self.surest
         note = f"no plan was found that holds in {100 * asked:g} % of the draws"
-        extra = {"probability": surest | {"asked": asked}, "would_do": surer(site, columns, asked, surest["low"])}
-        return Answer(
-            site,
-            False,
-            notes=[f"{note}, the surest that was found holds in {100 * surest['value']:.2f} %"],
-            extra=extra,
-        )
-
-
-def _short(answer: Answer, run: RunResult) -> Array:
-    """What each battery lacks at the end of the run, and what each lacks on the way, Wh, shape (2 · batteries,)."""
-    site, batteries = answer.site, run.batteries.items()
-    end = [0.0 if b.empty_at_s is not None else b.reserve_required_wh - b.charge_left_wh for _, b in batteries]
-    way = [max(b.deficit_wh, 0.0) if b.empty_at_s is not None else 0.0 for _, b in batteries]
-    if site.task.within.reserve_throughout:
-        lowest = [float(np.min(run.charge_wh[name], initial=b.charge_left_wh)) for name, b in batteries]
-        way = np.maximum(way, site.physics.reserve_wh - np.array(lowest)).tolist()
-    return np.maximum([*end, *way], 0.0)
-
-
-def _missed(answer: Answer) -> bool:
-    """Whether a visit begins outside its window."""
-    clock = 0.0
-    for leg in answer.legs:
-        window = None if leg.visit is None else answer.site.task.visits[leg.visit].window
-        if window is not None and window.until is not None and clock > window.until.value * (1.0 + SAME) + SAME:
-            return True
-        clock += leg.duration_s
-    return False
+        notes = [f"{note}, the surest that was found holds in {100 * surest['value']:.2f} %"]
+        # single changes: a later deadline if that alone does, and asking for no more than the surest gives for certain
+        would_do: list[dict[str, Any]] = []
+        late = np.where(columns["feasible"], columns["duration_s"], np.inf)
+        # two standard errors more than is asked, for other draws will be others
+        share = asked + 2.0 * math.sqrt(asked * (1.0 - asked) / late.size)
+        end = float(np.quantile(late, share, method="higher")) if share < 1.0 else np.inf
+        if site.deadline_s < end < np.inf:
+            text = f"a deadline of {end:.1f} s ({end - site.deadline_s:.1f} s later)"
+            would_do.append({"change": "within.deadline", "to": end, "unit": "s", "text": text})
+        if (less := float(np.floor(1e3 * surest["low"]) / 1e3)) > 0.0:
+            text = f"with_probability: {100 * less:.1f} %"
+            would_do.append({"change": "within.with_probability", "to": less, "unit": "", "text": text})
+        return Answer(site, False, notes=notes, extra={"probability": surest | {"asked": asked}, "would_do": would_do})

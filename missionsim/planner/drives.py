@@ -94,21 +94,17 @@ class Drives:
             for source, before in zip(sources.tolist(), befores, strict=True):
                 for target in targets.tolist():
                     known = found.setdefault((source, target), [])
-                    drive = None if source == target else self._way(before, chosen, source, target)
-                    if drive is not None and not any((other.use <= drive.use).all() for other in known):
+                    if source == target or before[target] < 0:
+                        continue
+                    arcs, here, size = [], target, len(self.road.states)
+                    while here != source:
+                        earlier = int(before[here])
+                        arcs.append(int(chosen[np.searchsorted(self._pairs, earlier * size + here)]))
+                        here = earlier
+                    drive = self._drive(arcs[::-1])
+                    if not any((other.use <= drive.use).all() for other in known):
                         known.append(drive)
         return found
-
-    def _way(self, before: Any, chosen: NDArray[np.intp], source: int, target: int) -> Drive | None:
-        arcs: list[int] = []
-        here, size = target, len(self.road.states)
-        while here != source:
-            earlier = int(before[here])
-            if earlier < 0:
-                return None
-            arcs.append(int(chosen[np.searchsorted(self._pairs, earlier * size + here)]))
-            here = earlier
-        return self._drive(arcs[::-1])
 
     def _graph(self, cost: Array, back: bool) -> tuple[Any, NDArray[np.intp]]:
         """The cheapest arc between any two states, as a graph; which arcs these are."""
@@ -155,28 +151,24 @@ class Drives:
             try:
                 made[:, r] = bellman_ford(whole.tocsr(), indices=size)[:size]
             except NegativeCycleError:
-                raise self._endless(graph) from None
+                import networkx as nx
+
+                net = nx.from_scipy_sparse_array(graph, create_using=nx.DiGraph)
+                for source in net:
+                    with suppress(nx.NetworkXError):
+                        states = nx.find_negative_cycle(net, source)
+                        places = list(dict.fromkeys(road.states[state].place for state in states))
+                        break
+                raise InputError.single(
+                    "driving in a circle would charge a battery: the slopes of its edges do not close",
+                    got=", ".join(places),
+                    allowed="slopes by which a way round comes back to the height where it began",
+                ) from None
         return made
 
     @cached_property
     def _network(self) -> _OnRoad:
         return _OnRoad(self.road)
-
-    def _endless(self, graph: Any) -> InputError:
-        """Slopes that lead downhill all the way round."""
-        import networkx as nx
-
-        net = nx.from_scipy_sparse_array(graph, create_using=nx.DiGraph)
-        for source in net:
-            with suppress(nx.NetworkXError):
-                states = nx.find_negative_cycle(net, source)
-                places = list(dict.fromkeys(self.road.states[state].place for state in states))
-                break
-        return InputError.single(
-            "driving in a circle would charge a battery: the slopes of its edges do not close",
-            got=", ".join(places),
-            allowed="slopes by which a way round comes back to the height where it began",
-        )
 
     def _drive(self, arcs: list[int]) -> Drive:
         road = self.road

@@ -14,7 +14,7 @@ from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.bounds import matrix
 from missionsim.planner.orders import Order
-from missionsim.planner.tour import Site
+from missionsim.planner.site import Site
 
 STARTS = 4
 MOST_LOADS = 40
@@ -62,8 +62,14 @@ def _bound(site: Site, made: float) -> tuple[float, float]:
     """
     visits = site.task.visits
     values = np.array([visit.value or 0.0 for visit in visits])
-    loads = _loads(site)
-    if loads is None:
+    found = {round(site.order.load_kg, 9)}  # all loads that some visits together may lead to
+    limit = math.inf if site.task.most_kg is None else site.task.most_kg * (1.0 + 1e-12)
+    for visit in visits:
+        found |= {round(load + visit.load_kg, 9) for load in found}
+        if len(found) > MOST_LOADS**2:
+            return -math.inf, float(values.sum())
+    loads = sorted(load for load in found if 0.0 <= load <= limit)
+    if len(loads) > MOST_LOADS:
         return -math.inf, float(values.sum())
     count = len(visits)
 
@@ -73,9 +79,14 @@ def _bound(site: Site, made: float) -> tuple[float, float]:
         stands = [min((site.standing(1 + i, load) @ weights).min() for load in loads) for i in range(count)]
         return apart, np.array(stands)
 
-    cost = least(site.weights)
-    ends = [(i, j) for i in range(count + 1) for j in range(1, count + 2) if i != j and np.isfinite(cost[0][i, j])]
+    finite = np.isfinite(least(site.weights)[0])
+    ends = [(i, j) for i in range(count + 1) for j in range(1, count + 2) if i != j and finite[i, j]]
     arcs = np.array(ends).T
+
+    def row(weights: Array) -> Array:
+        apart, stands = least(weights)
+        return np.append(apart[arcs[0], arcs[1]], stands)
+
     # what is limited: time, and the charge of batteries that no dock serves; each, and all together
     physics = site.physics
     limits = np.array([site.deadline_s, *(physics.initial_wh - physics.reserve_wh)])
@@ -84,30 +95,13 @@ def _bound(site: Site, made: float) -> tuple[float, float]:
             limits[1:][stop.charger.gain_w > 0.0] = math.inf
     kept = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
     scaled = [np.eye(len(limits))[r] / limits[r] for r in kept]
-    rows = [np.append(*_on(least(row), arcs)) for row in (*scaled, sum(scaled, np.zeros(len(limits))))]
+    rows = [row(weights) for weights in (*scaled, sum(scaled, np.zeros(len(limits))))]
     sides = [1.0] * len(kept) + [float(len(kept))]
     needed = [0.0 if visit.value is not None else 1.0 for visit in visits]
     value = np.append(np.zeros(arcs.shape[1]), -values)
     most, rows, sides = _cut(arcs, value, rows, sides, needed) if values.any() else (0.0, rows, sides)
-    objective = np.append(*_on(cost, arcs))
-    bound = _cut(arcs, objective, [*rows, value], [*sides, -made * (1.0 - 1e-12)], needed)[0]
+    bound = _cut(arcs, row(site.weights), [*rows, value], [*sides, -made * (1.0 - 1e-12)], needed)[0]
     return bound, -most if math.isfinite(most) else float(values.sum())
-
-
-def _on(least: tuple[Array, Array], arcs: NDArray[np.intp]) -> tuple[Array, Array]:
-    return least[0][arcs[0], arcs[1]], least[1]
-
-
-def _loads(site: Site) -> list[float] | None:
-    """All loads that some visits together may lead to; None where these are too many."""
-    found = {round(site.order.load_kg, 9)}
-    most = math.inf if site.task.most_kg is None else site.task.most_kg
-    for visit in site.task.visits:
-        found |= {round(load + visit.load_kg, 9) for load in found}
-        if len(found) > MOST_LOADS**2:
-            return None
-    loads = sorted(load for load in found if 0.0 <= load <= most * (1.0 + 1e-12))
-    return loads if len(loads) <= MOST_LOADS else None
 
 
 def _cut(
@@ -198,7 +192,13 @@ def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
     rng = np.random.default_rng(1)
     found: dict[tuple[int, ...], float] = {}
     for start in range(STARTS):
-        order = _start(earlier, apart, rng if start else None)
+        order: list[int] = []  # always the nearest visit that may come next, or (but at the first start) any of them
+        left = set(range(len(visits)))
+        while left:
+            free = sorted(i for i in left if not earlier[i] & left)
+            row = apart[1 + order[-1] if order else 0]
+            order.append(int(rng.choice(free)) if start else min(free, key=lambda i: row[1 + i]))
+            left.discard(order[-1])
         if not allowed(order):
             continue
         best = cost(order)
@@ -211,19 +211,6 @@ def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
                     break
         found[tuple(order)] = best
     return sorted(found, key=lambda order: found[order])
-
-
-def _start(earlier: list[set[int]], apart: Array, rng: np.random.Generator | None) -> list[int]:
-    """Always the nearest visit that may come next, or (with a generator) any of them."""
-    order: list[int] = []
-    here, left = 0, set(range(len(earlier)))
-    while left:
-        free = sorted(i for i in left if not earlier[i] & left)
-        chosen = min(free, key=lambda i: apart[here, 1 + i]) if rng is None else int(rng.choice(free))
-        order.append(chosen)
-        left.discard(chosen)
-        here = 1 + chosen
-    return order
 
 
 def _near(order: list[int]) -> list[list[int]]:

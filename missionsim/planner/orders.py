@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -76,7 +77,10 @@ class Order:
                 for i in range(len(self.visits))
                 if not state >> i & 1 and not self._earlier[i] & self._needed & ~state and not self._later[i] & state
             ]
-        return [(i, after) for i, after in found if self._carries(after)]
+        if not self._changes:
+            return found
+        most = math.inf if self._most_kg is None else self._most_kg * (1 + 1e-12)
+        return [(i, after) for i, after in found if -1e-9 <= self.payload_kg(after) <= most]
 
     @cached_property
     def steps(self) -> list[tuple[Ints, Ints, Ints]]:
@@ -90,6 +94,20 @@ class Order:
         return [(part[:, 0], part[:, 1], part[:, 2]) for part in made if len(part)]
 
     @cached_property
+    def standing(self) -> list[tuple[int, int]]:
+        """Under which of the loads each visit may be made: (load, visit)."""
+        which, made = self.loads[1], set[tuple[int, int]]()
+        for _, visits, afters in self.steps:
+            made |= set(zip(which[afters].tolist(), visits.tolist(), strict=True))
+        return sorted(made)
+
+    @cached_property
+    def driven(self) -> list[int]:
+        """Under which of the loads the robot may drive."""
+        which = self.loads[1]
+        return sorted({int(which[0]), *(int(i) for begin, _, end in self.steps for i in (*which[begin], *which[end]))})
+
+    @cached_property
     def loads(self) -> tuple[Array, Ints]:
         """The loads that may be carried, and which of them in each state."""
         carried = np.array([self.payload_kg(state) for state in range(self.count)])
@@ -100,10 +118,6 @@ class Order:
     def ends(self) -> NDArray[np.bool_]:
         """States in which nothing that must be done is left."""
         return np.array([self.may_end(state) for state in range(self.count)])
-
-    def _carries(self, state: int) -> bool:
-        load = self.payload_kg(state)
-        return not self._changes or (load >= -1e-9 and (self._most_kg is None or load <= self._most_kg * (1 + 1e-12)))
 
     def may_end(self, state: int) -> bool:
         """Whether nothing that must be done is left."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -26,26 +26,6 @@ LONG_AGO_S = 1e7
 simulated with them."""
 
 
-def mission_of(task: TaskSpec) -> MissionSpec:
-    """A mission with the task's robot, environment and defaults that does nothing yet."""
-    wait = WaitSegment.model_construct(kind="wait", duration=Parameter(0.0, unit="s"))
-    dock = PolicySpec.model_construct(dock=task.goal) if task.goal in task.environment.places else PolicySpec()
-    mission = MissionSpec.model_construct(
-        kind="mission",
-        name=task.name,
-        robot_ref=task.robot_ref,
-        start=task.start,
-        start_heading=task.start_heading,
-        initial_charge=task.initial_charge,
-        defaults=task.defaults,
-        policy=dock,
-        segments=(wait,),
-        behaviour=MissionBehaviour.model_construct(),
-    )
-    vars(mission).update(robot=task.robot, environment=task.environment, document=task.document)
-    return mission
-
-
 class Physics:
     """The power model of a task's robot, for arrays of phases.
 
@@ -55,7 +35,21 @@ class Physics:
 
     def __init__(self, task: TaskSpec) -> None:
         self.task = task
-        self.mission = mission_of(task)
+        wait = WaitSegment.model_construct(kind="wait", duration=Parameter(0.0, unit="s"))
+        docks = task.goal in task.environment.places
+        self.mission = MissionSpec.model_construct(  # that does nothing yet
+            kind="mission",
+            name=task.name,
+            robot_ref=task.robot_ref,
+            start=task.start,
+            start_heading=task.start_heading,
+            initial_charge=task.initial_charge,
+            defaults=task.defaults,
+            policy=PolicySpec.model_construct(dock=task.goal) if docks else PolicySpec(),
+            segments=(wait,),
+            behaviour=MissionBehaviour.model_construct(),
+        )
+        vars(self.mission).update(robot=task.robot, environment=task.environment, document=task.document)
         self.model = build_power_model(task.robot)
         plan = make_plan(self.mission)
         self.limits = plan.limits
@@ -68,7 +62,6 @@ class Physics:
         self.reserve_wh = np.array([float(joules) for joules in kept]) / J_PER_WH
         self.held_wh = np.zeros(len(self.names))
         self._infos = {info.name: info for info in self.setup.components}
-        self._always = {info.name: info.units for info in self.setup.components if info.always_on}
         self._settings: dict[Settings, int] = {}
         self.impulsive = any(term.effect.impulse is not None for term in self.model.terms)
         self.fades = bool(self.model.memory)
@@ -93,47 +86,40 @@ class Physics:
         scale = np.where(steady, keys[:, 1], 1.0)
         keys[steady, 1] = 1.0  # constant power: computed for a second, whatever it lasts
         unique, inverse = np.unique(keys, axis=0, return_inverse=True)
-        return self._rows_wh(unique)[np.ravel(inverse)] * scale[:, None]
-
-    def _rows_wh(self, keys: Array) -> Array:
-        index: dict[tuple[float, ...], int] = {}
-        names = list(self._infos)
-        state_of = [index.setdefault(self._state(settings, names), len(index)) for settings in self._settings]
-        legs = [Leg("roll", settings) for settings in self._settings]
+        names, ago = list(self._infos), LONG_AGO_S if self.fades else 0.0
+        states: dict[tuple[float, ...], int] = {}  # units on, units starting, time of switching on, of each component
+        state_of = []
+        for each in self._settings:
+            units = closure(self._infos, each.sensors)
+            own = [info.units if info.always_on else 0 for info in self._infos.values()]
+            on = [float(max(least, units.get(name, 0))) for name, least in zip(names, own, strict=True)]
+            state = (*on, *(0.0 for _ in names), *(-ago for _ in names))
+            state_of.append(states.setdefault(state, len(states)))
         rows = []
-        for number, duration, speed, accel, starts in keys.tolist():
+        for number, duration, speed, accel, begins in unique.tolist():
             which = int(number)
-            moving = speed != 0.0 or accel != 0.0
-            phase = Phase(duration, which, speed, accel, moving=moving)
-            moved = LONG_AGO_S if self.fades else 0.0
-            rows.append(Row(0.0, duration, which, phase, 0.0, state_of[which], moved, bool(starts), ()))
+            phase = Phase(duration, which, speed, accel, moving=speed != 0.0 or accel != 0.0)
+            rows.append(Row(0.0, duration, which, phase, 0.0, state_of[which], ago, bool(begins), ()))
         total = np.zeros((len(rows), len(self.names)))
-        if not rows:
-            return total
-        line = timeline([(rows, legs, list(index))], names, self.model.needs)
-        for b, terms in enumerate(integrate(self.model, line).values()):
-            for joules in terms.values():
-                total[:, b] += joules
-        return total / J_PER_WH
-
-    def _state(self, settings: Settings, names: Sequence[str]) -> tuple[float, ...]:
-        """Units on, units starting, time of switching on, of each component."""
-        units = closure(self._infos, settings.sensors)
-        for name, count in self._always.items():
-            units[name] = max(count, units.get(name, 0))
-        zero = [0.0] * len(names)
-        since = [-LONG_AGO_S if self.fades else 0.0] * len(names)
-        return (*(float(units.get(name, 0)) for name in names), *zero, *since)
+        if rows:
+            legs = [Leg("roll", each) for each in self._settings]
+            line = timeline([(rows, legs, list(states))], names, self.model.needs)
+            for b, terms in enumerate(integrate(self.model, line).values()):
+                for joules in terms.values():
+                    total[:, b] += joules
+        return (total / J_PER_WH)[np.ravel(inverse)] * scale[:, None]
 
     def standing_wh(self, settings: Settings, duration_s: float) -> Array:
         """Energy of standing, shape (batteries,), Wh."""
-        one = np.ones(1)
+        zero = np.zeros(1)
         number = np.array([self.settings_index(settings)])
-        return np.asarray(self.energy_wh(number, duration_s * one, 0.0 * one, 0.0 * one, 0.0 * one)[0])
+        return np.asarray(self.energy_wh(number, np.array([duration_s]), zero, zero, zero)[0])
 
-    def missing_wh(self) -> Array:
-        """Charge missing in each battery at the start, shape (batteries,), Wh."""
-        return self.capacity_wh - self.initial_wh
+    def but(self, **charges: Array) -> Physics:
+        """The same with other charges, `capacity_wh`, `initial_wh`, `reserve_wh` or `held_wh`: shape (batteries,)."""
+        other = copy(self)
+        vars(other).update(charges)
+        return other
 
     def by_name(self, values: Array) -> dict[str, float]:
         """Numbers of the batteries, shape (batteries,), by their names."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.files import grouped
 from missionsim.inputs.segments import DriveSegment
-from missionsim.inputs.task import SchemeChoice, TaskSpec, speeds_of
+from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of
@@ -34,6 +34,14 @@ MOST_SPEEDS = 60
 FREE, OWED, ROLLED, STOPPED = 0, 1, 2, 3
 """A state's speed is explained already; must be explained by the next edge; is 0 without having stood; or the drive
 ends here, at rest."""
+
+
+_DRIVE = DriveSegment.model_construct(kind="drive")
+
+
+def equipment(given: SchemeChoice | VisitSpec | None) -> dict[str, Any]:
+    """Scheme, navigation and sensors that are asked for, as a segment has them."""
+    return {} if given is None else {key: getattr(given, key) for key in ("scheme", "navigation", "sensors")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +66,14 @@ class Piece:
         return self.legs[0].speed_m_s
 
     @property
+    def instant(self) -> bool:
+        """Whether its speed is there at once."""
+        return self.legs[0].instant
+
+    @property
     def distance_m(self) -> float:
         """Length driven."""
         return math.fsum(leg.distance_m for leg in self.legs)
-
-
-def edge_name(task: TaskSpec, way: Way) -> str | None:
-    """What a drive `along` calls a way, or None where its names mean another."""
-    edge = task.environment.edges[way.edge]
-    for name in (edge.name, way.end):
-        if name is not None and task.environment.next_along(way.begin, name) == (way.edge, way.end):
-            return name
-    return None
 
 
 def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, list[Piece]]:
@@ -81,8 +85,9 @@ def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, 
     for place, ways in routes.ways.items():
         for way in ways:
             own = task.edges.get(task.environment.edges[way.edge].name or "")
-            name = edge_name(task, way)
-            if name is None or (own is not None and own.closed):
+            names = (task.environment.edges[way.edge].name, way.end)  # of which one may mean another edge
+            meant = (n for n in names if n and task.environment.next_along(place, n) == (way.edge, way.end))
+            if (name := next(meant, None)) is None or (own is not None and own.closed):
                 continue
             schemes = (own.schemes if own is not None else None) or task.drives_with
             speeds = speeds_of(own.speeds if own is not None else None) or speeds_of(task.choose.speeds) or (None,)
@@ -96,7 +101,9 @@ def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, 
                     if given is not None and effective in done:
                         continue
                     done.add(effective)
-                    asked.append((place, drive(name, scheme, given, payload_kg)))
+                    chosen = {"along": (name,), "payload": Parameter(payload_kg, unit="kg")} | equipment(scheme)
+                    chosen |= {} if given is None else {"speed": Parameter(given, unit="m/s")}
+                    asked.append((place, _DRIVE.model_copy(update=chosen)))
                     about.append((way, name, scheme, given))
     pieces: dict[str, list[Piece]] = {place: [] for place in routes.ways}
     for legs, (way, name, scheme, given) in zip(legs_of(physics.mission, asked), about, strict=True):
@@ -104,19 +111,6 @@ def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, 
         dwell = next((leg for leg in legs if leg.kind == "stand"), None)
         pieces[way.begin].append(Piece(way, name, scheme, given, rolls, dwell))
     return pieces
-
-
-_DRIVE = DriveSegment.model_construct(kind="drive")
-
-
-def drive(name: str, scheme: SchemeChoice | None, speed: float | None, payload_kg: float) -> DriveSegment:
-    """The segment of a mission that drives an edge."""
-    asked: dict[str, Any] = {"along": (name,), "payload": Parameter(payload_kg, unit="kg")}
-    if speed is not None:
-        asked["speed"] = Parameter(speed, unit="m/s")
-    if scheme is not None:
-        asked |= {"scheme": scheme.scheme, "navigation": scheme.navigation, "sensors": scheme.sensors}
-    return _DRIVE.model_copy(update=asked)
 
 
 class State(NamedTuple):
@@ -178,14 +172,15 @@ def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[
     states = list(index)
     rest = np.array([states[tail].speed == 0.0 and states[tail].kind != ROLLED for tail in tails], dtype=bool)
     use, peak = cost_of(physics, driven, np.array(speeds).reshape(-1, 2), rest)
-    road = Road(states, np.array(tails, dtype=np.intp), np.array(heads, dtype=np.intp), use, peak, driven, index)
-    return _undominated(road, shear)
+    ends = np.array([tails, heads], dtype=np.intp)
+    keep = undominated(use, shear, peak, ends[0] * len(states) + ends[1])
+    return Road(states, ends[0][keep], ends[1][keep], use[keep], peak[keep], [driven[i] for i in keep.tolist()], index)
 
 
 def _binding(pieces: dict[str, list[Piece]], places: set[str], decel: float) -> dict[str, set[float]]:
     """Speeds at each place that an edge leaving it can be the reason for: its limit, or having to brake on it."""
     found = {
-        place: {piece.limit_m_s for piece in leaving if not _instant(piece)} | ({0.0} if place in places else set())
+        place: {piece.limit_m_s for piece in leaving if not piece.instant} | ({0.0} if place in places else set())
         for place, leaving in pieces.items()
     }
     if decel <= 0.0:
@@ -195,7 +190,7 @@ def _binding(pieces: dict[str, list[Piece]], places: set[str], decel: float) -> 
         changed = False
         for place, leaving in pieces.items():
             for piece in leaving:
-                if _instant(piece):
+                if piece.instant:
                     continue
                 further = {0.0} if piece.dwell is not None else found[piece.way.end]
                 for speed in list(further):
@@ -211,7 +206,7 @@ def _ends(
 ) -> Iterator[tuple[State, float]]:
     """States at the end of a piece that begins in a state, and the speeds there."""
     end = piece.way.end
-    if _instant(piece):
+    if piece.instant:
         yield State(end, 0.0, FREE if piece.dwell is not None else ROLLED), 0.0
         if end in places:
             yield State(end, 0.0, STOPPED), 0.0
@@ -242,10 +237,6 @@ def _ends(
             yield State(end, speed, OWED), speed
 
 
-def _instant(piece: Piece) -> bool:
-    return piece.legs[0].instant
-
-
 def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Time and energies of pieces between speeds, evaluated as arrays.
 
@@ -255,7 +246,7 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
     use = np.zeros((len(driven), 1 + len(physics.names)))
     number: dict[Piece, int] = {}
     which = np.array([number.setdefault(piece, len(number)) for piece in driven], dtype=np.intp)
-    groups = grouped(number, lambda piece: (len(piece.legs), _instant(piece)))
+    groups = grouped(number, lambda piece: (len(piece.legs), piece.instant))
     parts: list[tuple[NDArray[Any], ...]] = []
     for (count, instant), members in groups.items():
         place = np.full(len(number), -1)
@@ -323,10 +314,3 @@ def undominated(use: Array, shear: Array, peak: Array, group: NDArray[np.intp] |
         apart += 1
         rows = rows[rows >= apart]
     return np.asarray(order[~worse])
-
-
-def _undominated(road: Road, shear: Array) -> Road:
-    """Without arcs that cost no less than another between the same states."""
-    keep = undominated(road.use, shear, road.peak, road.tails * len(road.states) + road.heads)
-    driven = [road.driven[i] for i in keep.tolist()]
-    return Road(road.states, road.tails[keep], road.heads[keep], road.use[keep], road.peak[keep], driven, road.index)

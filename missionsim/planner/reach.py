@@ -22,11 +22,10 @@ from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg as PlanLeg
 from missionsim.plan.legs import OnEdge
 from missionsim.planner.answer import Answer, flow
-from missionsim.planner.chance import as_run
-from missionsim.planner.draws import draws_of, told
+from missionsim.planner.chance import as_run, draws_of, told
 from missionsim.planner.physics import Physics
+from missionsim.planner.site import Site, make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import Site, make_site
 from missionsim.planner.why import with_ample
 
 SCHEMA = "missionsim.reach/1"
@@ -42,7 +41,7 @@ class Reached:
     """There and back with the reserve, by the files' values."""
     sure: bool
     """And so in the share of draws that is asked."""
-    plan: Answer | None = None
+    plan: Answer
     """There and back; where the charge does not suffice, the one that takes least of it."""
     holds: dict[str, float] = field(default_factory=dict)
     """Share of the draws in which it does (``value``, ``low``, ``high``, ``runs``)."""
@@ -85,42 +84,34 @@ def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] 
     """
     found = []
     for place in task.environment.places:
-        if place != task.start:
-            one = task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)})
-            made = _place(make_site(one), place, probability)
-            if made is not None:
-                assert made.plan is not None
-                found.append(replace(made, warnings=as_run(made.plan)[1].warnings))
+        if place == task.start:
+            done()
+            continue
+        site = make_site(task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)}))
+        names = site.physics.names
+        plan: Answer | None = solve_site(site)
+        holds: dict[str, float] = {}
+        turn = None
+        if plan is not None and plan.feasible:
+            holds = told(site, draws_of(plan, SEED))
+        elif (plan := _least(site)) is not None:
+            # by how much more than planned each battery gives in all but the rarest draws, relative; as if they were
+            # bottomless: what is drawn, not when it ends
+            bottomless = [(f"robot.batteries.{name}.capacity", "100000 Wh") for name in names]
+            ample = plan.site.task.model_copy(update={"overrides": (*plan.site.task.overrides, *bottomless)})
+            columns = draws_of(replace(plan, site=replace(plan.site, task=ample)), SEED)
+            each = 1.0 - (1.0 - probability) / len(names)
+            used = np.array([float(np.nanquantile(columns[f"energy_{name}_wh"], each)) for name in names])
+            more = np.maximum(used / np.maximum([plan.energy_wh[name] for name in names], 1e-9) - 1.0, 0.0)
+            if (turn := _turn(site, plan, np.zeros(len(names)))) is not None:
+                sure = _turn(site, plan, more)
+                turn["sure_metres"], turn["sure_edge"] = (0.0, None) if sure is None else (sure["metres"], sure["edge"])
+        if plan is not None:
+            warnings = as_run(plan)[1].warnings
+            certain = bool(holds) and holds["value"] >= probability
+            found.append(Reached(place, bool(holds), certain, plan, holds, turn, warnings))
         done()
     return found
-
-
-def _place(site: Site, place: str, probability: float) -> Reached | None:
-    plan = solve_site(site)
-    if plan.feasible:
-        holds = told(site, draws_of(plan, SEED))
-        return Reached(place, True, holds["value"] >= probability, plan, holds)
-    if (least := _least(site)) is None:
-        return None
-    more = _more(least, probability)
-    turn = _turn(site, least, np.zeros(len(more)))
-    if turn is not None:
-        sure = _turn(site, least, more)
-        turn["sure_metres"], turn["sure_edge"] = (0.0, None) if sure is None else (sure["metres"], sure["edge"])
-    return Reached(place, False, False, least, {}, turn)
-
-
-def _more(plan: Answer, probability: float) -> Array:
-    """By how much more than planned each battery gives in all but the rarest draws, relative, shape (batteries,)."""
-    site = plan.site
-    names = site.physics.names
-    # as if batteries were bottomless: what is drawn, not when it ends
-    ample = tuple((f"robot.batteries.{name}.capacity", "100000 Wh") for name in names)
-    task = site.task.model_copy(update={"overrides": (*site.task.overrides, *ample)})
-    columns = draws_of(replace(plan, site=replace(site, task=task)), SEED)
-    each = 1.0 - (1.0 - probability) / len(names)
-    used = [float(np.nanquantile(columns[f"energy_{name}_wh"], each)) for name in names]
-    return np.maximum(np.array(used) / np.maximum([plan.energy_wh[name] for name in names], 1e-9) - 1.0, 0.0)
 
 
 def _least(site: Site) -> Answer | None:
@@ -143,7 +134,16 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
             break
         there = leg.piece.legs
         retraced = _backwards(site, there)
-        home, end = retraced or [], back if retraced else _home(site, leg.place)
+        home: Sequence[PlanLeg] = retraced or []
+        end: Sequence[PlanLeg] | None = back if retraced else []
+        if retraced is None and leg.place != site.task.goal:  # by the way of which least is lacking; None without
+            visits = (VisitSpec.model_construct(place=leg.place),)
+            other = _least(make_site(site.task.model_copy(update={"start": leg.place, "visits": visits})))
+            end = (
+                None
+                if other is None
+                else [one for leg in other.legs if leg.piece is not None for one in leg.piece.legs]
+            )
 
         def short(share: float, there: Any = there, home: Any = home, out: Any = out, end: Any = end) -> Array:
             if end is None:
@@ -174,20 +174,11 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
     return None
 
 
-def _home(site: Site, place: str) -> list[PlanLeg] | None:
-    """The legs from a place to where the robot is to come to, by the way of which least is lacking; None without."""
-    if place == site.task.goal:
-        return []
-    task = site.task.model_copy(update={"start": place, "visits": (VisitSpec.model_construct(place=place),)})
-    plan = _least(make_site(task))
-    return None if plan is None else [one for leg in plan.legs if leg.piece is not None for one in leg.piece.legs]
-
-
 def _backwards(site: Site, legs: Sequence[PlanLeg]) -> list[PlanLeg] | None:
     """The same edge driven back, in the same way; None where it leads one way only."""
     edge = legs[0].edge
     assert edge is not None
-    ways = site.road(site.order.load_kg).road.driven
+    ways = site.road(site.order.load_kg)[0].road.driven
     found = next((p for p in ways if p.way.edge == edge.edge and p.way.begin == edge.end), None)
     if found is None:
         return None
@@ -232,9 +223,7 @@ def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> Jso
     """The answer as JSON (schema ``missionsim.reach/1``)."""
     places = {}
     for item in found:
-        plan = item.plan
-        assert plan is not None
-        physics = plan.site.physics
+        plan, physics = item.plan, item.plan.site.physics
         reserve, initial = physics.by_name(physics.reserve_wh), physics.by_name(physics.initial_wh)
         left = {name: initial[name] - plan.energy_wh[name] for name in reserve}
         places[item.place] = {

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -14,15 +13,15 @@ import numpy as np
 from missionsim.inputs.task import TaskSpec
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
-from missionsim.planner.bounds import Tour, bounds_of, matrix, rest_of, slack_of
+from missionsim.planner.bounds import Prices, best_prices, bounds_of, cheapest, matrix, rest_of, slack_of
 from missionsim.planner.core import Label, Leaving, Outcome, chain_of, quick, search
 from missionsim.planner.drives import Drives
-from missionsim.planner.dual import Prices, best_prices, cheapest
 from missionsim.planner.large import orders
 from missionsim.planner.orders import MOST_FREE, Order
 from missionsim.planner.pieces import Road, State
-from missionsim.planner.solve import FIRST_GAP, PATIENCE, Fronts, Watch, charges_tried, solve_site
-from missionsim.planner.tour import Site, make_site
+from missionsim.planner.site import Site, make_site
+from missionsim.planner.solve import FIRST_GAP, Watch, charges_tried, solve_site
+from missionsim.planner.tour import PATIENCE, Fronts, Tour
 
 MOST_ROUNDS = 1000
 MOST_NODES = 400_000
@@ -41,7 +40,7 @@ FEW, FAR = 4, 0.05
 """Rounds, and relative gap, up to which a proof among all drives is tried."""
 
 
-class Ways:
+class Ways(Tour):
     """Arcs of one round: each from where the robot has charged (or sets out) to where it charges next, or to the end.
 
     All visits between are made on it, in the best order. `weights` (shape (1 + batteries,)): of seconds and Wh. `gap`:
@@ -50,25 +49,17 @@ class Ways:
     """
 
     def __init__(self, site: Site, weights: Array, gap: float, few: int | None = None) -> None:
+        super().__init__(site, Fronts(site, weights, gap))
         self.weights, self.gap, self.few = weights, gap, few
-        self.drives = Fronts(site, weights, gap)
-        self.tour = tour = Tour(site, self.drives)
         self.complete = True
         """Whether no search for arcs had to end before it had all."""
-        self._before = slack_of(tour, weights - tour.site.weights)[1].ravel()
-        self._rest = rest_of(tour.site, weights).ravel()
-        self._known: dict[int, Leaving] = {}
-
-    def leaving(self, node: int) -> Leaving:
-        """The arcs from a node (state and stop, as of the tour) that the robot sets out from or has charged at."""
-        known = self._known.get(node)
-        if known is None:
-            known = self._known[node] = self._make(node)
-        return known
+        self._before = slack_of(self, weights - site.weights)[1].ravel()
+        self._rest = rest_of(site, weights).ravel()
 
     def _make(self, node: int) -> Leaving:
-        tour, (drives, index) = self.tour, self._road
-        site, source = tour.site, index[~node]
+        """The arcs from a node (state and stop, as of the tour) that the robot sets out from or has charged at."""
+        (drives, index), site = self._road, self.site
+        source = index[~node]
         ends = {number: inner for inner, number in index.items() if inner >= 0 and self._ends(inner)}
         found = drives.distances(self.weights, np.array([source]))[0]
         targets = np.array([number for number in ends if np.isfinite(found[number])], dtype=np.intp)
@@ -78,35 +69,28 @@ class Ways:
             targets, more = targets[np.argsort(whole, kind="stable")[: self.few]], None
         elif more is not None:
             targets, more = targets[more <= self.gap], more[more <= self.gap]
-        arcs = []
-        if len(targets):
-            ways, taken = drives.between(
-                source,
-                targets,
-                more,
-                weights=self.weights,
-                gap=self.gap,
-                timeless=site.timeless,
-                waiting=site.shear if site.shear.any() else None,
-                until=tour.latest,
-                patience=PATIENCE if self.few is None else SOON,
-            )
-            self.complete &= taken <= PATIENCE
-            arcs = [(ends[target], way) for target, some in ways.items() for way in some]
-        use = np.array([tour.vector(way.use) for _, way in arcs]).reshape(len(arcs), len(tour.first))
-        peak = np.zeros_like(use)
-        peak[:, 2:] = np.array([way.peak for _, way in arcs]).reshape(len(arcs), -1)
-        moves = [(head % tour.size, way, whole, 0) for (head, way), whole in zip(arcs, use, strict=True)]
-        dips = bool((peak > np.maximum(use, 0.0) + 1e-12)[:, 2:].any())
-        return Leaving(np.array([head for head, _ in arcs], dtype=np.intp), use, moves, peak if dips else None)
+        if not len(targets):
+            return self.arcs([])
+        ways, taken = drives.between(
+            source,
+            targets,
+            more,
+            weights=self.weights,
+            gap=self.gap,
+            timeless=site.timeless,
+            waiting=site.shear if site.shear.any() else None,
+            until=self.latest,
+            patience=PATIENCE if self.few is None else SOON,
+        )
+        self.complete &= taken <= PATIENCE
+        return self.arcs((ends[head], way, self.vector(way.use), 0) for head, some in ways.items() for way in some)
 
     def _ends(self, node: int) -> bool:
-        return node % self.tour.size >= self.tour.site.goal
+        return node % self.size >= self.site.goal
 
     @cached_property
     def _road(self) -> tuple[Drives, dict[int, int]]:
         """All drives of a round as a road, and the numbers of its nodes; of ``~node`` where it is left."""
-        tour = self.tour
         whole = np.sort(self._before + self._rest)
         few = math.inf if self.few is None or len(whole) <= MOST_STOPS else whole[MOST_STOPS]
         reach = self._rest[0] + self.gap if self.few is None else few
@@ -116,7 +100,7 @@ class Ways:
         while waiting:
             here = waiting.pop()
             node = max(here, ~here)
-            arcs = tour.leaving(node)
+            arcs = super()._make(node)
             through = self._before[node] + arcs.use[:, 1:] @ self.weights + self._rest[arcs.heads]
             for i in np.flatnonzero(through <= reach).tolist():
                 head = int(arcs.heads[i])
@@ -124,7 +108,7 @@ class Ways:
                     index[head] = len(index)
                     if not self._ends(head):
                         waiting.append(head)
-                    elif head % tour.size > tour.site.goal:
+                    elif head % self.size > self.site.goal:
                         index[~head] = len(index)
                         waiting.append(~head)
                 ends.append((index[here], index[head]))
@@ -132,7 +116,7 @@ class Ways:
         tails, heads = np.array(ends, dtype=np.intp).reshape(-1, 2).T
         use = np.array([move[2][1:] for _, move in moves]).reshape(len(moves), len(self.weights))
         drawn = np.array([move[1].peak for _, move in moves]).reshape(len(moves), -1)
-        states = [State(tour.site.stops[max(node, ~node) % tour.size].place) for node in index]
+        states = [State(self.site.stops[max(node, ~node) % self.size].place) for node in index]
         return Drives(Road(states, tails, heads, use, np.maximum(drawn, np.maximum(use[:, 1:], 0.0)), moves)), index
 
 
@@ -143,7 +127,7 @@ class Rounds(Tour):
     """
 
     def __init__(self, ways: Ways, rounds: int, every_s: float) -> None:
-        super().__init__(ways.tour.site, ways.drives)
+        super().__init__(ways.site, ways.drives)
         self.ways, self.rounds, self.every_s = ways, rounds, every_s
         self.latest = (rounds - 1) * every_s
         self._out = self.nodes
@@ -151,7 +135,6 @@ class Rounds(Tour):
         self.nodes = self._each * rounds
         stops, start = self.site.stops, self.site.task.start
         self._home = [i for i, stop in enumerate(stops) if stop.charger is not None and stop.place == start]
-        self._all: dict[int, Leaving] = {}
 
     def at(self, node: int) -> tuple[int, int]:
         """State of the order and stop of a node."""
@@ -162,35 +145,26 @@ class Rounds(Tour):
         """Whether the last round ends here."""
         return node >= self.nodes - self._each and self.at(node)[1] == self.site.goal
 
-    def leaving(self, node: int) -> Leaving:
+    def _make(self, node: int) -> Leaving:
         """Ways to all docks that may come next, and to the end of the round; from there the next one."""
-        known = self._all.get(node)
-        if known is None:
-            number, inner = divmod(node, self._each)
-            first, last = number * self._each, number + 1 == self.rounds
+        number, inner = divmod(node, self._each)
+        first, last = number * self._each, number + 1 == self.rounds
+        heads: list[int] | None = None
+        if inner == 0 or (inner != self._out and inner % self.size == self.site.goal):
+            # charged at home as much as it likes or sets out, unless that was the last round
             begin = first + self._each if inner else first
-            if inner == 0 or (inner != self._out and inner % self.size == self.site.goal):
-                # charged at home as much as it likes or sets out, unless that was the last round
-                known = self._still(
-                    [] if inner and last else [*(begin + dock for dock in self._home), begin + self._out]
-                )
-            elif inner in self._home and self.every_s > 0.0:
-                known = self._still([first + self._out])
-            else:
-                one = self.ways.leaving(0 if inner in (self._out, *self._home) else inner)
-                # before the first visit and after the last one it charges between the rounds
-                state, stop = np.divmod(one.heads, self.size)
-                idle = (inner in (self._out, *self._home)) & (state == 0) | (self.site.order.ends[state] & (not last))
-                there = ~(np.isin(stop, self._home) & idle)
-                moves = [move for move, kept in zip(one.moves, there, strict=True) if kept]
-                peak = None if one.peak is None else one.peak[there]
-                known = Leaving(one.heads[there] + first, one.use[there], moves, peak)
-            self._all[node] = known
-        return known
-
-    def _still(self, heads: list[int]) -> Leaving:
-        nothing, use = self.none, np.zeros((len(heads), len(self.first)))
-        return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0], 0) for head in heads])
+            heads = [] if inner and last else [*(begin + dock for dock in self._home), begin + self._out]
+        elif inner in self._home and self.every_s > 0.0:
+            heads = [first + self._out]
+        if heads is not None:
+            return self.arcs((head, self.none, np.zeros(len(self.first)), 0) for head in heads)
+        one = self.ways.leaving(0 if inner in (self._out, *self._home) else inner)
+        # before the first visit and after the last one it charges between the rounds
+        state, stop = np.divmod(one.heads, self.size)
+        idle = (inner in (self._out, *self._home)) & (state == 0) | (self.site.order.ends[state] & (not last))
+        there = ~(np.isin(stop, self._home) & idle)
+        moves = [move for move, kept in zip(one.moves, there, strict=True) if kept]
+        return Leaving(one.heads[there] + first, one.use[there], moves, None if one.peak is None else one.peak[there])
 
     def each(self, label: Label) -> Label:
         """The same way, stop by stop."""
@@ -222,21 +196,16 @@ class Rounds(Tour):
         return each.ravel()
 
 
-@contextmanager
-def _share(site: Site, rounds: int) -> Iterator[Site]:
+def _share(site: Site, rounds: int) -> Site:
     """One round with its share of the time and the charge of so many: what bounds it, bounds them all."""
     physics = site.physics
-    kept = physics.initial_wh
-    physics.initial_wh = physics.reserve_wh + (kept - physics.reserve_wh) / rounds
-    try:
-        yield replace(site, deadline_s=site.deadline_s / rounds)
-    finally:
-        physics.initial_wh = kept
+    share = physics.reserve_wh + (physics.initial_wh - physics.reserve_wh) / rounds
+    return replace(site, physics=physics.but(initial_wh=share), deadline_s=site.deadline_s / rounds)
 
 
 def _prices(site: Site, rounds: int) -> Prices:
-    with _share(site, rounds) as one:
-        return best_prices(Tour(one, Fronts(one)))
+    one = _share(site, rounds)
+    return best_prices(Tour(one, Fronts(one)))
 
 
 def of_one_kind(task: TaskSpec) -> TaskSpec:
@@ -244,8 +213,8 @@ def of_one_kind(task: TaskSpec) -> TaskSpec:
     if not any(visit.value is not None for visit in task.visits):
         return task
     one = make_site(task)
-    one.physics.initial_wh = one.physics.capacity_wh.copy()
-    made = solve_site(one).order()
+    full = one.physics.but(initial_wh=one.physics.capacity_wh)
+    made = solve_site(replace(one, physics=full)).order()
     kept = tuple(visit.model_copy(update={"value": None}) for visit in task.visits if visit.label in made)
     return task.model_copy(update={"visits": kept or task.visits})
 
@@ -303,19 +272,16 @@ def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
         found = orders(site, matrix(site, site.order.load_kg, site.weights))
         site = replace(site, order=Order(site.task, found[0]))
     known: dict[int, Prices] = {}
-
-    def possible(rounds: int) -> bool:
-        known[rounds] = _prices(site, rounds)
-        return not known[rounds].impossible and (rounds - 1) * every < site.deadline_s
-
     low, high = 0, asked
     while low < high:
         middle = asked if high == asked and not many and low == 0 and not known else (low + high + 1) // 2
-        low, high = (middle, high) if possible(middle) else (low, middle - 1)
+        known[middle] = _prices(site, middle)
+        possible = not known[middle].impossible and (middle - 1) * every < site.deadline_s
+        low, high = (middle, high) if possible else (low, middle - 1)
     at_most, fixed = low, False
     if at_most and site.order.sequence is None and site.order.count * len(site.stops) * at_most > MOST_NODES:
-        with _share(site, at_most) as one:
-            steps = cheapest(Tour(one, Fronts(one)), known[at_most].best)
+        one = _share(site, at_most)
+        steps = cheapest(Tour(one, Fronts(one)), known[at_most].best)
         assert steps is not None
         sequence = tuple(head - 1 for head, _ in steps[0] if head != site.goal)
         site, fixed = replace(site, order=Order(site.task, sequence)), True

@@ -11,27 +11,22 @@ import numpy as np
 
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
-from missionsim.planner.bounds import Tour, bounds_of, in_time, slack_of
+from missionsim.planner.bounds import best_prices, bounds_of, in_time, prices_ahead, slack_of
 from missionsim.planner.chains import within
 from missionsim.planner.core import Label, Outcome, quick, search
-from missionsim.planner.drives import Drive
-from missionsim.planner.dual import best_prices, prices_ahead, unit
 from missionsim.planner.large import MORE_VALUE, solve_large
 from missionsim.planner.orders import MOST_FREE, Order
-from missionsim.planner.tour import Site
+from missionsim.planner.site import Site
+from missionsim.planner.tour import Fronts, Tour
 
 Watch = Callable[[str, float, float], bool]
 """``(what is done, objective so far, bound) -> stop?``"""
 
-VARIED = (0.3, 1.5)
-"""By so much of what the mean arc costs the price of each resource is raised for the first drives."""
 MOST_LABELS = 4_500
 FEW_LABELS = 400
 """Both: after which a search that has a plan gives up its proof; the second where that is to follow."""
 WIDE = 0.03
 """Gap with which half of them are enough: more would not close it."""
-PATIENCE = 6_000
-"""Labels after which the search for more drives on one road ends."""
 MOST_GAP = 300.0
 """Drives whose price is not within so much of the first gap are tried all together."""
 PROVED = 1e-10
@@ -42,79 +37,6 @@ STEP = 8.0
 """By which that grows."""
 FIRST_GAP = 0.002
 """Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
-
-
-class Fronts:
-    """The drives between stops, found when first asked for: all that none is better than, or those cheapest for prices.
-
-    `weights` (shape (1 + batteries,)): with `gap`, see `missionsim.planner.drives.Drives.between`; `gap`: None for
-    those that are the cheapest for prices about `weights`; `slack` (shape (loads, stops, stops)): by how much any tour
-    that drives between two stops is above the cheapest, with the same weights.
-    """
-
-    def __init__(
-        self, site: Site, weights: Array | None = None, gap: float | None = math.inf, slack: Array | None = None
-    ) -> None:
-        self.site, self.weights, self.gap, self.slack = site, weights, gap, slack
-        self._found: dict[tuple[float, int], dict[int, list[Drive]]] = {}
-        self._cheap: dict[float, dict[int, dict[int, list[Drive]]]] = {}
-        self._patience = dict.fromkeys(site.order.loads[0].tolist(), PATIENCE)
-
-    @property
-    def complete(self) -> bool:
-        """Whether no search for drives had to end before it had all."""
-        return min(self._patience.values()) >= 0
-
-    def __call__(self, payload_kg: float, stop: int, head: int) -> list[Drive]:
-        site = self.site
-        if site.stops[stop].place == site.stops[head].place:
-            return [Drive(np.zeros(1 + len(site.physics.names)), np.zeros(len(site.physics.names)))]
-        road = site.road(payload_kg)
-        out, into = site.nodes[payload_kg]
-        key = (payload_kg, int(out[stop]))
-        if key not in self._found and self.gap is None:
-            self._found[key] = self._few(payload_kg)[key[1]]
-        elif key not in self._found and self.gap is not None:
-            most = np.full(1 + len(site.physics.names), math.inf)
-            most[0] = site.deadline_s
-            limit = most if math.isfinite(site.deadline_s) else None
-            targets, more = np.unique(into), None
-            if self.slack is not None:
-                rows = self.slack[np.searchsorted(site.order.loads[0], payload_kg)][out == key[1]].min(axis=0)
-                more = np.array([rows[into == target].min() for target in targets])
-            patience = self._patience[payload_kg]
-            self._found[key], taken = road.between(
-                key[1],
-                targets,
-                more,
-                weights=self.weights,
-                gap=self.gap,
-                most=limit,
-                timeless=site.timeless,
-                waiting=site.shear if site.shear.any() else None,
-                until=site.waits_until,
-                patience=max(patience, 1),
-            )
-            self._patience[payload_kg] = patience - taken
-            if taken > patience:
-                for target, drives in self._few(payload_kg)[key[1]].items():
-                    self._found[key].setdefault(target, []).extend(drives)
-        return self._found[key].get(int(into[head]), [])
-
-    def _few(self, payload_kg: float) -> dict[int, dict[int, list[Drive]]]:
-        """The drives that are cheapest with each resource's price raised in steps by what all of the mean arc costs."""
-        if payload_kg not in self._cheap:
-            road, (out, into) = self.site.road(payload_kg), self.site.nodes[payload_kg]
-            mean = np.maximum(np.abs(road.road.use).mean(axis=0), 1e-9)
-            some = self.weights is not None and self.weights.any()
-            weights = self.weights if self.weights is not None and some else 1.0 / mean
-            unit = np.diag(max(float(weights @ mean), 1e-9) / mean)
-            varied = [weights, *(weights + share * row for row in unit for share in VARIED)]
-            found: dict[int, dict[int, list[Drive]]] = {int(source): {} for source in out}
-            for (source, target), drives in road.supported(varied, np.unique(out), np.unique(into)).items():
-                found[source][target] = drives
-            self._cheap[payload_kg] = found
-        return self._cheap[payload_kg]
 
 
 def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True, labels: int = MOST_LABELS) -> Answer:
@@ -139,7 +61,7 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True, l
     best = _solve(site, partial(Tour, values=values, most_missed=missed))
     if not best.feasible:
         use = np.array([most.duration_s, *most.energy_wh.values()])
-        best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
+        best = replace(most, site=site, objective=float(use @ site.weights), bound=0.0)
     if most.objective - most.bound > 1e-9 * float(values.sum()):
         best.extra["assumed"] = [*best.extra.get("assumed", ()), MORE_VALUE]
     return best
@@ -156,7 +78,12 @@ def _search(
     if prices.impossible or not len(ends):
         return Answer(site, False)
     best, objective = prices.plan, prices.objective
-    sums = _sums(tour)
+    sums = np.zeros(1)  # what may be left out in all, where value is the objective and few visits have one; rising
+    if tour.by_value and tour.values is not None and np.count_nonzero(tour.values) <= MOST_FREE:
+        for value in tour.values[tour.values > 0.0]:
+            sums = np.unique(np.concatenate([sums, sums + value]))
+    else:
+        sums = np.zeros(0)
     bound = _up(sums, prices.bound)
     if tour.by_value and tour.values is not None:
         bound = max(bound, float(site.order.left(tour.values)[ends].min()))
@@ -179,7 +106,10 @@ def _search(
         alone = best_prices(tour, charging=False)
         if alone.plan is not None and alone.objective < objective:
             best, objective = alone.plan, alone.objective
-        bounds = bounds_of(tour, more, [alone.best, *alone.others, *_steep(tour)], prices_ahead(tour, prices.best))
+        rows = np.eye(len(tour.left))[1 : 1 + len(site.physics.names)]
+        # what high prices on the charge of each battery say where it is nearly too little
+        steep = [share * tour.unit * row for row in rows for share in (0.3, 1.0, 4.0)]
+        bounds = bounds_of(tour, more, [alone.best, *alone.others, *steep], prices_ahead(tour, prices.best))
         first = [Fronts(site, weights, None)]
     else:
         bounds = bounds_of(tour, more)
@@ -252,22 +182,6 @@ def charges_tried(tour: Tour) -> list[str]:
     some = len(tour.site.physics.names) > 1 and any(c is not None and c.levels is None for c in tour.chargers)
     lost = some and (tour.latest > 0.0 or any(one != alike[0] for one in alike))
     return ["of several charges in one mission only the last was tried to any level"] if lost else []
-
-
-def _steep(tour: Tour) -> list[Array]:
-    """High prices on the charge of each battery: what they say where it is nearly too little."""
-    rows = np.eye(len(tour.left))[1 : 1 + len(tour.site.physics.names)]
-    return [share * unit(tour) * row for row in rows for share in (0.3, 1.0, 4.0)]
-
-
-def _sums(tour: Tour) -> Array:
-    """What may be left out in all, where value is the objective and few visits have one; rising."""
-    if not tour.by_value or tour.values is None or np.count_nonzero(tour.values) > MOST_FREE:
-        return np.zeros(0)
-    found = np.zeros(1)
-    for value in tour.values[tour.values > 0.0]:
-        found = np.unique(np.concatenate([found, found + value]))
-    return found
 
 
 def _up(sums: Array, bound: float) -> float:

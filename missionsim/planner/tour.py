@@ -1,294 +1,228 @@
-"""Stops of a task: what is done at each, what charging there does, and the roads between them."""
+"""The network of stops that the core searches, and the drives between them."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.errors import InputError
-from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
-from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec
-from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
-from missionsim.plan.build import legs_of
-from missionsim.plan.legs import Leg
-from missionsim.planner.drives import Drives
-from missionsim.planner.orders import Order
-from missionsim.planner.physics import Physics
-from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, make_road, pieces_of
+from missionsim.planner.core import Leaving
+from missionsim.planner.drives import Drive
+from missionsim.planner.pieces import undominated
+from missionsim.planner.site import Charger, Site
+
+VARIED = (0.3, 1.5)
+"""By so much of what the mean arc costs the price of each resource is raised for the first drives."""
+PATIENCE = 6_000
+"""Labels after which the search for more drives on one road ends."""
 
 
-@dataclass(frozen=True, eq=False)
-class Stop:
-    """A place where the robot stands: the start, a visit, the goal or a dock."""
+class Fronts:
+    """The drives between stops, found when first asked for: all that none is better than, or those cheapest for prices.
 
-    place: str
-    lasts_s: float = 0.0
-    """Time of what is done there."""
-    visit: int | None = None
-    """Of the task."""
-    charger: Charger | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Charger:
-    """What charging at a dock does to the vector (objective, seconds, Wh missing of each battery, …)."""
-
-    gain_w: Array
-    """What comes in less what the robot draws, before the charge tapers off; 0 or less where it is not charged. Shape
-    (batteries,)."""
-    draw_w: Array
-    """What the robot draws while docked. Shape (batteries,)."""
-    served: NDArray[np.bool_]
-    """Shape (batteries,)."""
-    capacity_wh: Array
-    """Shape (batteries,)."""
-    rate: float = 0.0
-    """Objective for a second at the dock; by the weights of the `Site` that it is taken from (`Site.charger`)."""
-    levels: tuple[float, ...] | None = None
-    """Fractions that may be charged to; None for any."""
-    tapers: tuple[tuple[tuple[float, float], ...], ...] = ()
-    """Of each battery, up to which fraction of its capacity what comes in less what the robot draws [W]. Tuple of
-    (tuple of (level, gain))."""
-
-    @cached_property
-    def _curves(self) -> list[tuple[Array, Array] | None]:
-        """Of each battery that is charged, Wh missing and the seconds from empty to there; both rise and fall so."""
-        made: list[tuple[Array, Array] | None] = []
-        for charged, capacity, taper in zip(
-            self.served & (self.gain_w > 0.0), self.capacity_wh, self.tapers, strict=True
-        ):
-            missing = capacity * (1.0 - np.array([0.0, *(upper for upper, _ in taper)]))
-            gains = np.array([gain for _, gain in taper])
-            times = np.cumsum([0.0, *(-np.diff(missing) * 3600.0 / gains)]) if charged else missing
-            made.append((missing, times) if charged else None)
-        return made
-
-    def after(self, x: Array, seconds: Array, level: float = 1.0) -> Array:
-        """The vectors after charging for some times, shape (times, resources); held at a level once there."""
-        made = np.repeat(x[None, :], len(seconds), axis=0)
-        made[:, 0] += self.rate * seconds
-        made[:, 1] += seconds
-        for b, curve in enumerate(self._curves):
-            missing = x[2 + b]
-            if curve is None:
-                made[:, 2 + b] -= self.gain_w[b] * seconds / 3600.0
-            else:
-                there = np.interp(missing, curve[0][::-1], curve[1][::-1]) + seconds
-                floor = min((1.0 - level) * self.capacity_wh[b], missing)
-                made[:, 2 + b] = np.maximum(np.interp(there, curve[1], curve[0]), floor)
-        return made
-
-    def seconds_to(self, x: Array, level: float) -> Array:
-        """Time until each battery served is at a level, shape (batteries,); infinite where it never is."""
-        made = np.zeros(len(self.gain_w))
-        for b, curve in enumerate(self._curves):
-            missing, goal = x[2 + b], (1.0 - level) * self.capacity_wh[b]
-            if curve is None:
-                made[b] = math.inf if self.served[b] and missing > goal else 0.0
-            elif missing > goal:
-                made[b] = np.subtract(*np.interp([goal, missing], curve[0][::-1], curve[1][::-1]))
-        return made
-
-    def level_of(self, x: Array, seconds: float) -> float | None:
-        """The level that charging for some time comes to; None where any charge may be had."""
-        if self.levels is None:
-            return None
-        return min(self.levels, key=lambda level: abs(float(self.seconds_to(x, level).max()) - seconds))
-
-    @property
-    def obliged(self) -> bool:
-        """A stop without charging is no stop; where any charge may be had, next to none may be."""
-        return True
-
-    def options(self, x: Array) -> list[Array]:
-        """Levels one by one, or the chain of all charges up to full."""
-        if self.levels is not None:
-            made = []
-            for level in self.levels:
-                seconds = float(self.seconds_to(x, level).max())
-                if 0.0 < seconds < math.inf:
-                    made.append(self.after(x, np.array([seconds]), level))
-            return made
-        curves = [
-            (x[2 + b], curve[0][::-1], curve[1][::-1]) for b, curve in enumerate(self._curves) if curve is not None
-        ]
-        times = [bends - np.interp(missing, known, bends) for missing, known, bends in curves]
-        knots = np.unique(np.concatenate([np.empty(0), *times]))
-        knots = knots[knots > 0.0]
-        return [np.concatenate([x[None, :], self.after(x, knots)])] if knots.size else []
-
-
-@dataclass
-class Site:
-    """Everything about a task that does not depend on what is chosen: stops, roads by payload, costs.
-
-    `waiting` (shape (1 + batteries,)): seconds and Wh of waiting for a second.
+    `weights` (shape (1 + batteries,)): with `gap`, see `missionsim.planner.drives.Drives.between`; `gap`: None for
+    those that are the cheapest for prices about `weights`; `slack` (shape (loads, stops, stops)): by how much any tour
+    that drives between two stops is above the cheapest, with the same weights.
     """
 
-    task: TaskSpec
-    physics: Physics
-    order: Order
-    stops: list[Stop] = field(default_factory=list)
-    """First the start, then the visits, the goal, the docks."""
-    deadline_s: float = math.inf
-    weights: Array = field(default_factory=lambda: np.zeros(0))
-    """Of seconds and Wh in the objective. Shape (1 + batteries,)."""
-    roads: dict[float, Drives] = field(default_factory=dict)
-    nodes: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
-    timeless: bool = False
-    """Time is neither limited nor part of the objective: nothing is chosen for being quicker."""
-    _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
+    def __init__(
+        self, site: Site, weights: Array | None = None, gap: float | None = math.inf, slack: Array | None = None
+    ) -> None:
+        self.site, self.weights, self.gap, self.slack = site, weights, gap, slack
+        self._found: dict[tuple[float, int], dict[int, list[Drive]]] = {}
+        self._cheap: dict[float, dict[int, dict[int, list[Drive]]]] = {}
+        self._patience = dict.fromkeys(site.order.loads[0].tolist(), PATIENCE)
 
     @property
-    def goal(self) -> int:
-        """Number of the stop that ends the mission."""
-        return len(self.task.visits) + 1
+    def complete(self) -> bool:
+        """Whether no search for drives had to end before it had all."""
+        return min(self._patience.values()) >= 0
 
-    def road(self, payload_kg: float) -> Drives:
-        """The road under a load, made when first asked for."""
-        if payload_kg not in self.roads:
-            physics, stops = self.physics, self.stops
-            leaving = [_leaving(physics, stop, i) for i, stop in enumerate(stops)]
-            road = make_road(physics, pieces_of(self.task, physics, payload_kg), leaving, self.shear)
-            self.roads[payload_kg] = Drives(road)
-            out = np.array([road.index[state] for state in leaving], dtype=np.intp)
-            into = np.array([road.index[State(stop.place, 0.0, STOPPED)] for stop in stops], dtype=np.intp)
-            self.nodes[payload_kg] = out, into
-        return self.roads[payload_kg]
+    def __call__(self, payload_kg: float, stop: int, head: int) -> list[Drive]:
+        site = self.site
+        if site.stops[stop].place == site.stops[head].place:
+            return [Drive(np.zeros(1 + len(site.physics.names)), np.zeros(len(site.physics.names)))]
+        road, out, into = site.road(payload_kg)
+        key = (payload_kg, int(out[stop]))
+        if key not in self._found and self.gap is None:
+            self._found[key] = self._few(payload_kg)[key[1]]
+        elif key not in self._found and self.gap is not None:
+            most = np.full(1 + len(site.physics.names), math.inf)
+            most[0] = site.deadline_s
+            targets, more = np.unique(into), None
+            if self.slack is not None:
+                rows = self.slack[np.searchsorted(site.order.loads[0], payload_kg)][out == key[1]].min(axis=0)
+                more = np.array([rows[into == target].min() for target in targets])
+            patience = self._patience[payload_kg]
+            self._found[key], taken = road.between(
+                key[1],
+                targets,
+                more,
+                weights=self.weights,
+                gap=self.gap,
+                most=most if math.isfinite(site.deadline_s) else None,
+                timeless=site.timeless,
+                waiting=site.shear if site.shear.any() else None,
+                until=site.waits_until,
+                patience=max(patience, 1),
+            )
+            self._patience[payload_kg] = patience - taken
+            if taken > patience:
+                for target, drives in self._few(payload_kg)[key[1]].items():
+                    self._found[key].setdefault(target, []).extend(drives)
+        return self._found[key].get(int(into[head]), [])
 
-    def standing(self, number: int, payload_kg: float) -> Array:
-        """Seconds and Wh of what is done at a stop under a load, shape (choices, 1 + batteries): for each scheme."""
-        stop = self.stops[number]
-        if stop.visit is None:
-            return np.zeros((1, 1 + len(self.physics.names)))
-        key = (number, payload_kg)
-        if key not in self._standing:
-            self._standing[key] = _standing(self, self.task.visits[stop.visit], payload_kg)
-        return self._standing[key]
+    def _few(self, payload_kg: float) -> dict[int, dict[int, list[Drive]]]:
+        """The drives that are cheapest with each resource's price raised in steps by what all of the mean arc costs."""
+        if payload_kg not in self._cheap:
+            road, out, into = self.site.road(payload_kg)
+            mean = np.maximum(np.abs(road.road.use).mean(axis=0), 1e-9)
+            some = self.weights is not None and self.weights.any()
+            weights = self.weights if self.weights is not None and some else 1.0 / mean
+            unit = np.diag(max(float(weights @ mean), 1e-9) / mean)
+            varied = [weights, *(weights + share * row for row in unit for share in VARIED)]
+            found: dict[int, dict[int, list[Drive]]] = {int(source): {} for source in out}
+            for (source, target), drives in road.supported(varied, np.unique(out), np.unique(into)).items():
+                found[source][target] = drives
+            self._cheap[payload_kg] = found
+        return self._cheap[payload_kg]
 
-    def charger(self, number: int) -> Charger | None:
-        """What charging at a stop does, with the objective of this site."""
-        charger = self.stops[number].charger
-        if charger is None:
-            return None
-        return replace(charger, rate=float(self.objective(np.array([1.0, *(charger.draw_w / 3600.0)]))))
 
-    def objective(self, use: Array) -> Array:
-        """Weighted seconds and Wh."""
-        return np.asarray(use @ self.weights)
+class Tour:
+    """Network of the core: a node is a state of the order and a stop; resources are objective, time, Wh missing.
 
-    @property
-    def usable_wh(self) -> Array:
-        """What may be missing in each battery at any time, shape (batteries,)."""
-        physics = self.physics
-        kept = np.maximum(physics.reserve_wh, 0.0) if self.task.within.reserve_throughout else 0.0
-        return np.asarray(physics.capacity_wh - physics.held_wh - kept)
+    `values`: value of each visit, where some may be left out: then one more resource is the value that is not made yet;
+    `most_missed`: limit of that resource; `by_value`: the value that is not made is the objective, in place of that
+    resource.
+    """
 
-    @cached_property
-    def windowed(self) -> bool:
-        """Whether some visit must begin within a window."""
-        return any(visit.window is not None for visit in self.task.visits)
+    def __init__(
+        self,
+        site: Site,
+        drives: Fronts,
+        values: Array | None = None,
+        most_missed: float = math.inf,
+        *,
+        by_value: bool = False,
+    ) -> None:
+        self.site, self.drives, self.values, self.by_value = site, drives, values, by_value
+        physics = site.physics
+        self.none = Drive(np.zeros(len(site.weights)), np.zeros(len(physics.names)))
+        self.size = len(site.stops)
+        self.nodes = site.order.count * self.size
+        self.counted = values is not None and not by_value
+        self.latest = site.waits_until
+        self.chargers: list[Charger | None] = []
+        for stop in site.stops:
+            rate = 0.0 if stop.charger is None else float(np.append(1.0, stop.charger.draw_w / 3600.0) @ site.weights)
+            self.chargers.append(stop.charger and replace(stop.charger, rate=rate))
+        total = 0.0 if values is None else float(values.sum())
+        more = [total] if self.counted else []
+        self.first = np.array([total if by_value else 0.0, 0.0, *(physics.capacity_wh - physics.initial_wh), *more])
+        kept = physics.capacity_wh - physics.reserve_wh
+        self.limits = np.array([math.inf, site.deadline_s, *kept, *([most_missed] if self.counted else [])])
+        self.left = (self.limits - self.first)[1:]
+        """Of each resource but the objective what a plan without charging may use."""
+        self.unit = max(1e-6, float(site.weights.max()), 0.0 if values is None else float(values.max()))
+        """The order of size of a price."""
+        self._known: dict[int, Leaving] = {}
 
-    @cached_property
-    def waits_until(self) -> float:
-        """When the last visit's window opens, or the last round sets out; 0 where nothing has to wait."""
-        windows = [visit.window.from_.value for visit in self.task.visits if visit.window is not None]
-        repeat = self.task.repeat
-        return max([*windows, 0.0 if repeat is None or repeat.every is None else math.inf], default=0.0)
+    def at(self, node: int) -> tuple[int, int]:
+        """State of the order and stop of a node."""
+        return divmod(node, self.size)
 
-    @cached_property
-    def shear(self) -> Array:
-        """Wh that waiting for a second takes, where something may have to wait. Shape (1 + batteries,)."""
-        return np.asarray(
-            self.waiting * np.append(0.0, np.full(len(self.physics.names), float(self.waits_until > 0.0)))
+    def over(self, table: Array, whole: bool = True) -> Array:
+        """A table by state and stop, for all nodes."""
+        return table.ravel()
+
+    def is_goal(self, node: int) -> bool:
+        """Whether the mission ends here."""
+        return node % self.size == self.site.goal
+
+    def leaving(self, node: int) -> Leaving:
+        """Arcs to all stops that may come next."""
+        known = self._known.get(node)
+        if known is None:
+            known = self._known[node] = self._make(node)
+        return known
+
+    def _make(self, node: int) -> Leaving:
+        state, stop = divmod(node, self.size)
+        order, goal = self.site.order, self.site.goal
+        nexts: list[tuple[int, int]] = []
+        if stop != goal:
+            nexts = [(1 + visit, after) for visit, after in order.after(state)]
+            nexts += [(goal, state)] if order.may_end(state) else []
+            nexts += [(dock, state) for dock in range(goal + 1, self.size) if dock != stop]
+        payload = order.payload_kg(state)
+        return self.arcs(
+            (after * self.size + head, drive, whole, choice)
+            for head, after in nexts
+            for drive in self.drives(payload, stop, head)
+            for choice, whole in self.arc_uses(drive, head, after)
         )
 
-    @cached_property
-    def waiting(self) -> Array:
-        """Seconds and Wh of waiting for a second."""
-        wait = WaitSegment.model_construct(kind="wait", duration=Parameter(1.0, unit="s"))
-        leg = next(legs_of(self.physics.mission, [(self.task.start, wait)]))[0]
-        return np.concatenate([[1.0], self.physics.standing_wh(leg.settings, 3600.0) / 3600.0])
+    def arcs(self, listed: Iterable[tuple[int, Any, Array, int]]) -> Leaving:
+        """Arcs out of a node. `listed`: head, drive, what the whole takes, number of the scheme at the visit."""
+        some = list(listed)
+        count = len(self.site.physics.names)
+        use = np.array([whole for _, _, whole, _ in some]).reshape(len(some), len(self.first))
+        peak = np.zeros_like(use)
+        peak[:, 2 : 2 + count] = np.array([drive.peak for _, drive, _, _ in some]).reshape(len(some), count)
+        dips = bool((peak > np.maximum(use, 0.0) + 1e-12)[:, 2 : 2 + count].any())
+        moves = [(self.at(head)[1], *rest) for head, *rest in some]
+        return Leaving(np.array([head for head, *_ in some], dtype=np.intp), use, moves, peak if dips else None)
 
+    def arc_uses(self, drive: Drive, head: int, after: int) -> list[tuple[int, Array]]:
+        """What driving to a stop and what is done there add to the vector, for each scheme that none is better than."""
+        visit = self.site.stops[head].visit
+        made = 0.0 if self.values is None or visit is None else float(self.values[visit])
+        stands = self.site.standing(head, self.site.order.payload_kg(after))
+        kept = undominated(stands, self.site.shear, np.zeros((len(stands), 0))).tolist()
+        return [(i, self.vector(drive.use + stands[i], made)) for i in kept]
 
-def _leaving(physics: Physics, stop: Stop, number: int) -> State:
-    """The state in which the robot drives off: at rest, unless it never stood (which only starts cost)."""
-    stood = number == 0 or stop.charger is not None or stop.lasts_s > 0.0 or not physics.impulsive
-    return State(stop.place, 0.0, FREE if stood else ROLLED)
+    def vector(self, use: Array, made: float = 0.0) -> Array:
+        """What seconds and Wh, and value made, add to the vector."""
+        objective = -made if self.by_value else float(use @ self.site.weights)
+        return np.array([objective, *use, *([-made] if self.counted else [])])
 
+    def refill(self, node: int) -> Charger | None:
+        """The charger of a dock."""
+        return self.chargers[self.at(node)[1]]
 
-def visit_segment(
-    visit: VisitSpec, payload_kg: float, choice: SchemeChoice | None = None
-) -> InspectSegment | WaitSegment:
-    """The segment of a mission in which a visit is made."""
-    chosen = visit if choice is None else choice
-    common: dict[str, Any] = {
-        "scheme": chosen.scheme,
-        "navigation": chosen.navigation,
-        "sensors": chosen.sensors,
-        "payload": Parameter(payload_kg, unit="kg"),
-        "name": visit.label,
-    }
-    if visit.inspect is not None:
-        return InspectSegment.model_construct(kind="inspect", duration=visit.inspect, **common)
-    duration = visit.wait if visit.wait is not None else Parameter(0.0, unit="s")
-    return WaitSegment.model_construct(kind="wait", duration=duration, **common)
+    def opens(self, node: int) -> Callable[..., Array] | None:
+        """Waiting at a visit until its window opens."""
+        if not self.site.windowed:
+            return None
+        state, stop = divmod(node, self.size)
+        visit = self.site.stops[stop].visit
+        window = None if visit is None else self.site.task.visits[visit].window
+        if window is None or window.from_.value <= 0.0:
+            return None
+        return self.until(window.from_.value + float(self.site.standing(stop, self.site.order.payload_kg(state))[0, 0]))
 
+    def until(self, begin: float) -> Callable[..., Array]:
+        """What waiting until some time does to the points of a chain, or to points apart."""
+        waiting = self.vector(self.site.waiting)
 
-def make_site(task: TaskSpec, order: Order | None = None) -> Site:
-    """Stops with their costs; roads are made when they are asked for. Raises InputError: where the task asks for what
-    is not planned: turning at places."""
-    order = order or Order(task)
-    if task.defaults.turn_at_places:
-        where, told = ("defaults", "turn_at_places"), "turning at places is not planned"
-        raise InputError(task.document.fault(where, told, allowed="turn_at_places: false"))
-    physics = Physics(task)
-    energy, time = task.weights()
-    weights = np.array([time, *(energy[name] for name in physics.names)])
-    ends = [task.within.deadline, None if task.repeat is None else task.repeat.until]
-    deadline = min((end.value for end in ends if end is not None), default=math.inf)
-    site = Site(task, physics, order, deadline_s=deadline, weights=weights)
-    site.stops.append(Stop(task.start))
-    for i, visit in enumerate(task.visits):
-        lasting = visit.inspect or visit.wait
-        site.stops.append(Stop(visit.place, 0.0 if lasting is None else lasting.value, i))
-    site.stops.append(Stop(task.goal))
-    dock = DockSegment.model_construct(
-        kind="dock", recharge=RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
-    )
-    for place, legs in zip(task.docks, legs_of(physics.mission, [(place, dock) for place in task.docks]), strict=True):
-        site.stops.append(Stop(place, charger=_charger(site, legs[0])))
-    return site
+        def wait(points: Array, *, apart: bool = False) -> Array:
+            kept = list(points) if apart else [points[0]]
+            for first, second in itertools.pairwise(() if apart else points):
+                if first[1] < begin < second[1]:
+                    kept.append(first + (begin - first[1]) / (second[1] - first[1]) * (second - first))
+                kept.append(second)
+            made = np.array(kept)
+            return np.asarray(made + np.maximum(begin - made[:, 1:2], 0.0) * waiting)
 
+        return wait
 
-def _standing(site: Site, visit: VisitSpec, payload_kg: float) -> Array:
-    physics = site.physics
-    segments = [(visit.place, visit_segment(visit, payload_kg, choice)) for choice in site.task.choices_of(visit)]
-    made = np.zeros((len(segments), 1 + len(physics.names)))
-    for use, legs in zip(made, legs_of(physics.mission, segments), strict=True):
-        for leg in legs:
-            use[0] += leg.duration_s
-            use[1:] += physics.standing_wh(leg.settings, leg.duration_s)
-    return made
-
-
-def _charger(site: Site, leg: Leg) -> Charger:
-    physics = site.physics
-    assert leg.recharge is not None
-    draw = physics.standing_wh(leg.settings, 3600.0)
-    served = np.array([name in leg.recharge.batteries for name in physics.names])
-    power = np.array([leg.recharge.power_w.get(name, 0.0) for name in physics.names])
-    levels = site.task.choose.charge
-    chosen = None if levels == "any" else tuple(sorted({level.value for level in levels}))
-    gain = np.where(served, power - draw, -draw)
-    tapers = tuple(
-        tuple((upper, float(min(gain[b], part * power[b]))) for upper, part in battery.taper) if served[b] else ()
-        for b, battery in enumerate(physics.setup.batteries.values())
-    )
-    return Charger(gain, draw, served, physics.capacity_wh, levels=chosen, tapers=tapers)
+    def priced(self, prices: Array) -> tuple[Array, Array | None]:
+        """Weights of seconds and Wh, and what each visit is worth, with prices on all resources but the objective."""
+        count = len(self.site.weights)
+        worth = None if self.values is None else self.values * (1.0 if self.by_value else float(prices[count]))
+        return self.site.weights + prices[:count], worth

@@ -13,10 +13,10 @@ from missionsim.files import Json
 from missionsim.inputs.task import TaskSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
-from missionsim.planner.answer import Answer
+from missionsim.planner.answer import Answer, Leg
 from missionsim.planner.orders import MOST_FREE, Order
+from missionsim.planner.site import Site, make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import Site, make_site
 
 AMPLE_WH = 1e5
 ENOUGH = 1.0 + 1e-8
@@ -57,11 +57,10 @@ def explain(site: Site) -> Json:
         if answer is None:
             continue
         initial, reserve = float(site.physics.initial_wh[b]), float(site.physics.reserve_wh[b])
-        needed = _deepest(answer, name)
+        needed, leg = _needed(answer, name, initial - reserve)
         lacking = needed + reserve - initial
         if lacking <= 0.0:
             continue
-        leg = _falls_below(answer, name, initial - reserve)
         short.append({"what": name, "short_wh": lacking, "leg": _name(leg), "to": leg.place})
         capacity = float(site.physics.capacity_wh[b])
         if needed + reserve <= capacity:
@@ -83,8 +82,22 @@ def explain(site: Site) -> Json:
         what = "time" if item["what"] == "time" else f"battery '{item['what']}'"
         where = f"first on {item['leg']} to {item['to']}, all else as asked{unserved.get(item['what'], '')}"
         lines.append(f"{what}: {amount} short, {where}")
-    if not short:
-        lines += _together(site)
+    if short:
+        return _told(short, changes, lines)
+    # taking away one limit is not enough: what lacks of the plan that takes least of the first battery
+    answer = with_ample(replace(site, deadline_s=math.inf), 0, every=True)
+    if answer is None:
+        windows = " within the windows" if site.windowed else ""
+        ample = f"not with {AMPLE_WH:g} Wh in each battery and no deadline either"
+        return _told(short, changes, [f"no way does all that is asked{windows}, {ample}"])
+    lines.append("more than one limit is short: no single one, taken away, gives a plan; without any of them")
+    if answer.duration_s > site.deadline_s:
+        lines.append(f"time: {answer.duration_s - site.deadline_s:.1f} s short")
+    for b, name in enumerate(site.physics.names):
+        left = float(site.physics.initial_wh[b] - site.physics.reserve_wh[b])
+        needed, leg = _needed(answer, name, left)
+        if needed > left:
+            lines.append(f"battery '{name}': {needed - left:.3f} Wh short, first on {_name(leg)} to {leg.place}")
     return _told(short, changes, lines)
 
 
@@ -105,57 +118,29 @@ def _told(short: list[dict[str, Any]], changes: list[dict[str, Any]], lines: lis
     return {"short": short, "would_do": changes, "text": lines}
 
 
-def _together(site: Site) -> list[str]:
-    """What lacks where taking away one limit is not enough: of the plan that takes least of the first battery."""
-    answer = with_ample(replace(site, deadline_s=math.inf), 0, every=True)
-    if answer is None:
-        windows = " within the windows" if site.windowed else ""
-        return [
-            f"no way does all that is asked{windows}, not with {AMPLE_WH:g} Wh in each battery and no deadline either"
-        ]
-    lines = ["more than one limit is short: no single one, taken away, gives a plan; without any of them"]
-    if answer.duration_s > site.deadline_s:
-        lines.append(f"time: {answer.duration_s - site.deadline_s:.1f} s short")
-    for b, name in enumerate(site.physics.names):
-        left = float(site.physics.initial_wh[b] - site.physics.reserve_wh[b])
-        if (lacking := _deepest(answer, name) - left) > 0.0:
-            leg = _falls_below(answer, name, left)
-            lines.append(f"battery '{name}': {lacking:.3f} Wh short, first on {_name(leg)} to {leg.place}")
-    return lines
-
-
 def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | None:
     """The plan that takes least of a battery that holds as much as one likes; None where there is none. With `every`
     all batteries hold as much as one likes."""
     physics = site.physics
-    kept = physics.capacity_wh, physics.initial_wh, physics.reserve_wh
-    weights = np.zeros_like(site.weights)
-    weights[1 + battery] = 1.0
-    try:
-        ample = [values.copy() for values in kept]
-        which = slice(None) if every else battery
-        ample[0][which] = ample[1][which] = AMPLE_WH
-        ample[2][which] = 0.0
-        physics.capacity_wh, physics.initial_wh, physics.reserve_wh = ample
-        task = site.task.model_copy(update={"choose": site.task.choose.model_copy(update={"docks": "none"})})
-        stops = [stop for stop in site.stops if stop.charger is None]
-        bare = replace(site, weights=weights, task=task, stops=stops, roads={}, nodes={}, _standing={})
-        answer = solve_site(bare, valued=False)
-    finally:
-        physics.capacity_wh, physics.initial_wh, physics.reserve_wh = kept
-    return answer if answer.feasible else None
+    which = np.full(len(physics.names), every) | (np.arange(len(physics.names)) == battery)
+    capacity, initial = (np.where(which, AMPLE_WH, wh) for wh in (physics.capacity_wh, physics.initial_wh))
+    ample = physics.but(capacity_wh=capacity, initial_wh=initial, reserve_wh=np.where(which, 0.0, physics.reserve_wh))
+    task = site.task.model_copy(update={"choose": site.task.choose.model_copy(update={"docks": "none"})})
+    stops = [stop for stop in site.stops if stop.charger is None]
+    weights = np.eye(len(site.weights))[1 + battery]
+    bare = replace(site, physics=ample, weights=weights, task=task, stops=stops, _roads={}, _standing={})
+    answer = solve_site(bare, valued=False)
+    return replace(answer, site=replace(bare, physics=physics)) if answer.feasible else None
 
 
-def _deepest(answer: Answer, name: str) -> float:
-    return float(np.cumsum([0.0, *(leg.energy_wh[name] for leg in answer.legs)]).max())
+def _needed(answer: Answer, name: str, left_wh: float) -> tuple[float, Leg]:
+    """What a plan takes of a battery at most on the way, and the first leg on which that is more than is left."""
+    spent = np.cumsum([0.0, *(leg.energy_wh[name] for leg in answer.legs)])
+    below = np.flatnonzero(spent[1:] > left_wh)
+    return float(spent.max()), answer.legs[below[0] if below.size else -1]
 
 
-def _falls_below(answer: Answer, name: str, left_wh: float) -> Any:
-    spent = np.cumsum([leg.energy_wh[name] for leg in answer.legs])
-    return answer.legs[int(np.argmax(spent > left_wh)) if (spent > left_wh).any() else -1]
-
-
-def _name(leg: Any) -> str:
+def _name(leg: Leg) -> str:
     return f"edge '{leg.piece.name}'" if leg.piece is not None else leg.kind
 
 
@@ -198,13 +183,13 @@ def _lighter(site: Site) -> Iterator[dict[str, Any]]:
 
 def _one_less(site: Site) -> Iterator[dict[str, Any]]:
     """A visit less."""
-    task = site.task
-    count = len(task.visits)
-    for i, visit in enumerate(task.visits):
-        if not 1 < count <= 8:
-            continue
-        rest = tuple(_without(other, visit.label) for k, other in enumerate(task.visits) if k != i)
-        if solve_site(make_site(task.model_copy(update={"visits": rest}))).feasible:
+    task, count = site.task, len(site.task.visits)
+    for i, visit in enumerate(task.visits) if 1 < count <= 8 else ():
+        rest = []
+        for other in (*task.visits[:i], *task.visits[i + 1 :]):
+            kept = {key: tuple(n for n in getattr(other, key) if n != visit.label) for key in ("before", "after")}
+            rest.append(other.model_copy(update=kept))
+        if solve_site(make_site(task.model_copy(update={"visits": tuple(rest)}))).feasible:
             yield _change(f"visits.{i}", None, "", f"without the visit '{visit.label}'", 1.0 / count)
 
 
@@ -256,12 +241,6 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
             where = ", ".join(dict.fromkeys(leg.place for leg in answer.legs if leg.kind == "charge"))
             text = f"charging {minutes:.1f} min at {where} (choose: {{docks: all}})"
             yield _change("choose.docks", "all", "", text, 0.5)
-
-
-def _without(visit: Any, label: str) -> Any:
-    before = tuple(name for name in visit.before if name != label)
-    after = tuple(name for name in visit.after if name != label)
-    return visit.model_copy(update={"before": before, "after": after})
 
 
 def alternatives(answer: Answer) -> list[Json]:

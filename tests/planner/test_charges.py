@@ -14,8 +14,8 @@ from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission, load_task
 from missionsim.planner.answer import Answer
 from missionsim.planner.chance import plan_task
+from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import make_site
 from tests.planner.random_tasks import ROBOT, random_task
 
 LEVELS = [round(0.05 * step, 2) for step in range(1, 21)]

@@ -14,8 +14,8 @@ import yaml
 from missionsim.cli.app import run_command
 from missionsim.inputs.loading import load_task
 from missionsim.planner.chance import plan_task
+from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import make_site
 from tests.planner.random_tasks import random_task
 
 LOOKS = [{"scheme": "look"}, {"scheme": "look", "sensors": {"eye": 1, "lidar": 1}}, {"scheme": "glance"}]

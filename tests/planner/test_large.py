@@ -13,8 +13,8 @@ import pytest
 
 from missionsim.cli.app import run_command
 from missionsim.inputs.loading import load_task
+from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import make_site
 from tests.planner.large import large_task
 
 SIZES = [("16 Wh", "6 Wh", "25 min", 0.0), ("6 Wh", "4 Wh", "40 min", 0.01), ("5 Wh", "3 Wh", "60 min", 0.05)]

@@ -13,8 +13,8 @@ import yaml
 from missionsim.cli.app import run_command
 from missionsim.inputs.loading import load_task
 from missionsim.planner.large import solve_large
+from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import make_site
 
 
 def test_twenty_visits_within_a_said_gap(root: Path, tmp_path: Path) -> None:

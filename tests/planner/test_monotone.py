@@ -10,8 +10,8 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.inputs.loading import load_task
+from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
-from missionsim.planner.tour import make_site
 from tests.planner.random_tasks import random_task
 
 Change = tuple[str, object]

@@ -1,0 +1,248 @@
+"""Stops of a task: what is done at each, what charging there does, and the roads between them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import InputError
+from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
+from missionsim.inputs.task import TaskSpec
+from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
+from missionsim.plan.build import legs_of
+from missionsim.planner.drives import Drives
+from missionsim.planner.orders import Order
+from missionsim.planner.physics import Physics
+from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, equipment, make_road, pieces_of
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """A place where the robot stands: the start, a visit, the goal or a dock."""
+
+    place: str
+    lasts_s: float = 0.0
+    """Time of what is done there."""
+    visit: int | None = None
+    """Of the task."""
+    charger: Charger | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Charger:
+    """What charging at a dock does to the vector (objective, seconds, Wh missing of each battery, …)."""
+
+    gain_w: Array
+    """What comes in less what the robot draws, before the charge tapers off; 0 or less where it is not charged. Shape
+    (batteries,)."""
+    draw_w: Array
+    """What the robot draws while docked. Shape (batteries,)."""
+    served: NDArray[np.bool_]
+    """Shape (batteries,)."""
+    capacity_wh: Array
+    """Shape (batteries,)."""
+    rate: float = 0.0
+    """Objective for a second at the dock; what `Tour.chargers` have."""
+    levels: tuple[float, ...] | None = None
+    """Fractions that may be charged to; None for any."""
+    tapers: tuple[tuple[tuple[float, float], ...], ...] = ()
+    """Of each battery, up to which fraction of its capacity what comes in less what the robot draws [W]. Tuple of
+    (tuple of (level, gain))."""
+    obliged: ClassVar[bool] = True
+    """A stop without charging is no stop; where any charge may be had, next to none may be."""
+
+    @cached_property
+    def _curves(self) -> list[tuple[Array, Array] | None]:
+        """Of each battery that is charged, Wh missing and the seconds from empty to there; both rise and fall so."""
+        made: list[tuple[Array, Array] | None] = []
+        for charged, capacity, taper in zip(
+            self.served & (self.gain_w > 0.0), self.capacity_wh, self.tapers, strict=True
+        ):
+            missing = capacity * (1.0 - np.array([0.0, *(upper for upper, _ in taper)]))
+            gains = np.array([gain for _, gain in taper])
+            times = np.cumsum([0.0, *(-np.diff(missing) * 3600.0 / gains)]) if charged else missing
+            made.append((missing, times) if charged else None)
+        return made
+
+    def after(self, x: Array, seconds: Array, level: float = 1.0) -> Array:
+        """The vectors after charging for some times, shape (times, resources); held at a level once there."""
+        made = np.repeat(x[None, :], len(seconds), axis=0)
+        made[:, 0] += self.rate * seconds
+        made[:, 1] += seconds
+        for b, curve in enumerate(self._curves):
+            missing = x[2 + b]
+            if curve is None:
+                made[:, 2 + b] -= self.gain_w[b] * seconds / 3600.0
+            else:
+                there = np.interp(missing, curve[0][::-1], curve[1][::-1]) + seconds
+                floor = min((1.0 - level) * self.capacity_wh[b], missing)
+                made[:, 2 + b] = np.maximum(np.interp(there, curve[1], curve[0]), floor)
+        return made
+
+    def seconds_to(self, x: Array, level: float) -> Array:
+        """Time until each battery served is at a level, shape (batteries,); infinite where it never is."""
+        made = np.zeros(len(self.gain_w))
+        for b, curve in enumerate(self._curves):
+            missing, goal = x[2 + b], (1.0 - level) * self.capacity_wh[b]
+            if curve is None:
+                made[b] = math.inf if self.served[b] and missing > goal else 0.0
+            elif missing > goal:
+                made[b] = np.subtract(*np.interp([goal, missing], curve[0][::-1], curve[1][::-1]))
+        return made
+
+    def level_of(self, x: Array, seconds: float) -> float | None:
+        """The level that charging for some time comes to; None where any charge may be had."""
+        if self.levels is None:
+            return None
+        return min(self.levels, key=lambda level: abs(float(self.seconds_to(x, level).max()) - seconds))
+
+    def options(self, x: Array) -> list[Array]:
+        """Levels one by one, or the chain of all charges up to full."""
+        if self.levels is not None:
+            made = []
+            for level in self.levels:
+                seconds = float(self.seconds_to(x, level).max())
+                if 0.0 < seconds < math.inf:
+                    made.append(self.after(x, np.array([seconds]), level))
+            return made
+        curves = [
+            (x[2 + b], curve[0][::-1], curve[1][::-1]) for b, curve in enumerate(self._curves) if curve is not None
+        ]
+        times = [bends - np.interp(missing, known, bends) for missing, known, bends in curves]
+        knots = np.unique(np.concatenate([np.empty(0), *times]))
+        knots = knots[knots > 0.0]
+        return [np.concatenate([x[None, :], self.after(x, knots)])] if knots.size else []
+
+
+@dataclass
+class Site:
+    """Everything about a task that does not depend on what is chosen: stops, roads by payload, costs."""
+
+    task: TaskSpec
+    physics: Physics
+    order: Order
+    stops: list[Stop] = field(default_factory=list)
+    """First the start, then the visits, the goal, the docks."""
+    deadline_s: float = math.inf
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+    """Of seconds and Wh in the objective. Shape (1 + batteries,)."""
+    timeless: bool = False
+    """Time is neither limited nor part of the objective: nothing is chosen for being quicker."""
+    _roads: dict[float, tuple[Drives, NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
+    _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
+
+    @property
+    def goal(self) -> int:
+        """Number of the stop that ends the mission."""
+        return len(self.task.visits) + 1
+
+    def road(self, payload_kg: float) -> tuple[Drives, NDArray[np.intp], NDArray[np.intp]]:
+        """The road under a load, made when first asked for; its states in which each stop is left and come to."""
+        if payload_kg not in self._roads:
+            physics, leaving = self.physics, []
+            for number, stop in enumerate(self.stops):
+                # at rest, unless it never stood (which only starts cost)
+                stood = number == 0 or stop.charger is not None or stop.lasts_s > 0.0 or not physics.impulsive
+                leaving.append(State(stop.place, 0.0, FREE if stood else ROLLED))
+            road = make_road(physics, pieces_of(self.task, physics, payload_kg), leaving, self.shear)
+            out = np.array([road.index[state] for state in leaving], dtype=np.intp)
+            into = np.array([road.index[State(stop.place, 0.0, STOPPED)] for stop in self.stops], dtype=np.intp)
+            self._roads[payload_kg] = Drives(road), out, into
+        return self._roads[payload_kg]
+
+    def standing(self, number: int, payload_kg: float) -> Array:
+        """Seconds and Wh of what is done at a stop under a load, shape (choices, 1 + batteries): for each scheme."""
+        stop, width = self.stops[number], 1 + len(self.physics.names)
+        if stop.visit is None:
+            return np.zeros((1, width))
+        key = (number, payload_kg)
+        if key not in self._standing:
+            visit = self.task.visits[stop.visit]
+            segments: list[tuple[str, InspectSegment | WaitSegment]] = []
+            for choice in self.task.choices_of(visit):
+                asked: dict[str, Any] = {"payload": Parameter(payload_kg, unit="kg"), "name": visit.label}
+                asked |= equipment(choice or visit) | {
+                    "duration": visit.inspect or visit.wait or Parameter(0.0, unit="s")
+                }
+                if visit.inspect is not None:
+                    segments.append((stop.place, InspectSegment.model_construct(kind="inspect", **asked)))
+                else:
+                    segments.append((stop.place, WaitSegment.model_construct(kind="wait", **asked)))
+            made = self._standing[key] = np.zeros((len(segments), width))
+            for use, legs in zip(made, legs_of(self.physics.mission, segments), strict=True):
+                for leg in legs:
+                    use[0] += leg.duration_s
+                    use[1:] += self.physics.standing_wh(leg.settings, leg.duration_s)
+        return self._standing[key]
+
+    @property
+    def usable_wh(self) -> Array:
+        """What may be missing in each battery at any time, shape (batteries,)."""
+        physics = self.physics
+        kept = np.maximum(physics.reserve_wh, 0.0) if self.task.within.reserve_throughout else 0.0
+        return np.asarray(physics.capacity_wh - physics.held_wh - kept)
+
+    @cached_property
+    def windowed(self) -> bool:
+        """Whether some visit must begin within a window."""
+        return any(visit.window is not None for visit in self.task.visits)
+
+    @cached_property
+    def waits_until(self) -> float:
+        """When the last visit's window opens, or the last round sets out; 0 where nothing has to wait."""
+        windows = [visit.window.from_.value for visit in self.task.visits if visit.window is not None]
+        repeat = self.task.repeat
+        return max([*windows, 0.0 if repeat is None or repeat.every is None else math.inf], default=0.0)
+
+    @cached_property
+    def shear(self) -> Array:
+        """Wh that waiting for a second takes, where something may have to wait. Shape (1 + batteries,)."""
+        return np.append(0.0, self.waiting[1:] * float(self.waits_until > 0.0))
+
+    @cached_property
+    def waiting(self) -> Array:
+        """Seconds and Wh of waiting for a second. Shape (1 + batteries,)."""
+        wait = WaitSegment.model_construct(kind="wait", duration=Parameter(1.0, unit="s"))
+        leg = next(legs_of(self.physics.mission, [(self.task.start, wait)]))[0]
+        return np.concatenate([[1.0], self.physics.standing_wh(leg.settings, 3600.0) / 3600.0])
+
+
+def make_site(task: TaskSpec, order: Order | None = None) -> Site:
+    """Stops with their costs; roads are made when they are asked for. Raises InputError: where the task asks for what
+    is not planned: turning at places."""
+    if task.defaults.turn_at_places:
+        where, told = ("defaults", "turn_at_places"), "turning at places is not planned"
+        raise InputError(task.document.fault(where, told, allowed="turn_at_places: false"))
+    physics = Physics(task)
+    energy, time = task.weights()
+    weights = np.array([time, *(energy[name] for name in physics.names)])
+    ends = [task.within.deadline, None if task.repeat is None else task.repeat.until]
+    deadline = min((end.value for end in ends if end is not None), default=math.inf)
+    stops = [Stop(task.start)]
+    for i, visit in enumerate(task.visits):
+        lasting = visit.inspect or visit.wait
+        stops.append(Stop(visit.place, 0.0 if lasting is None else lasting.value, i))
+    stops.append(Stop(task.goal))
+    full = RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
+    dock = DockSegment.model_construct(kind="dock", recharge=full)
+    levels = task.choose.charge
+    chosen = None if levels == "any" else tuple(sorted({level.value for level in levels}))
+    for place, (leg, *_) in zip(task.docks, legs_of(physics.mission, [(p, dock) for p in task.docks]), strict=True):
+        assert leg.recharge is not None
+        draw = physics.standing_wh(leg.settings, 3600.0)
+        served = np.array([name in leg.recharge.batteries for name in physics.names])
+        power = np.array([leg.recharge.power_w.get(name, 0.0) for name in physics.names])
+        gain = np.where(served, power - draw, -draw)
+        tapers = tuple(
+            tuple((upper, float(min(gain[b], part * power[b]))) for upper, part in battery.taper) if served[b] else ()
+            for b, battery in enumerate(physics.setup.batteries.values())
+        )
+        charger = Charger(gain, draw, served, physics.capacity_wh, levels=chosen, tapers=tapers)
+        stops.append(Stop(place, charger=charger))
+    return Site(task, physics, order or Order(task), stops, deadline, weights)
