@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -161,26 +162,24 @@ def _joined(paths: Sequence[Path]) -> Draft:
         reader = reader_of(path)
         fields = fields_of(path, reader, _MOST_ROWS)
         pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else path.name
-        if reader.table is None:
-            draft.fields |= {f"{alias}.{one.name}": replace(one, name=f"{alias}.{one.name}") for one in fields}
-            files.append(f"  {alias}: {{name: {quoted(pattern)}}}")
-            continue
-        own = Draft({one.name: one for one in fields}, True)
-        _time(own, path)
-        if own.missing:
-            draft.missing.append(f"{path.name}: no column looks like a time")
-            continue
-        time = own.columns["time_s"][1]
-        names = [name for name in time.field.split("\n") if name]
-        assert own.time_s is not None
-        draft.fields |= {
-            f"{alias}.{one.name}": replace(one, name=f"{alias}.{one.name}", time_s=own.time_s, title=path.name)
-            for one in fields
-            if one.name not in names
-        }
-        unit = f", unit: {quoted(time.unit)}" if time.unit else ""
-        times = f"time: [{', '.join(map(quoted, names))}]{unit}"
-        files.append(f"  {alias}: {{name: {quoted(pattern)}, {times}}}  # {time.sure}: {time.why}")
+        names, times, comment = list[str](), "", ""
+        more: dict[str, Any] = {}
+        if reader.table is not None:
+            own = Draft({one.name: one for one in fields}, True)
+            _time(own, path)
+            if own.missing:
+                draft.missing.append(f"{path.name}: no column looks like a time")
+                continue
+            time = own.columns["time_s"][1]
+            names, more = time.field.split("\n"), {"time_s": own.time_s, "title": path.name}
+            unit = f", unit: {quoted(time.unit)}" if time.unit else ""
+            times = f", time: [{', '.join(map(quoted, names))}]{unit}"
+            comment = f"  # {time.sure}: {time.why}"
+        for one in fields:
+            if one.name not in names:
+                name = f"{alias}.{one.name}"
+                draft.fields[name] = replace(one, name=name, **more)
+        files.append(f"  {alias}: {{name: {quoted(pattern)}{times}}}{comment}")
     draft.head["files"] = "\n" + "\n".join(files)
     return draft
 

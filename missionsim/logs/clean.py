@@ -62,10 +62,12 @@ class Rows:
         message: str,
         action: str,
         severity: str = "warning",
-        at: int | None = None,
+        at: int | Bools | None = None,
         count: int = 0,
     ) -> None:
-        """Add a remark; `at` is the row (of this table) where it begins."""
+        """Add a remark; `at`: the row (of this table) where it begins, or a mask of the rows, which counts them."""
+        if isinstance(at, np.ndarray):
+            at, count = int(np.argmax(at)), count or int(at.sum())
         line = self.raw.line(int(self.row[at])) if at is not None and len(self.row) else 0
         self.remarks.append(Remark(kind, column, message, action, severity, line, count))
 
@@ -76,9 +78,8 @@ def order_time(rows: Rows) -> None:
     file, even = rows.raw.file, "increasing times, one run a file"
     finite = np.isfinite(rows.time)
     if not finite.all():
-        bad = int((~finite).sum())
-        told = f"{bad} rows have no time"
-        rows.remark("missing", "time_s", told, "they were left out", "error", int(np.argmin(finite)), bad)
+        told = f"{int((~finite).sum())} rows have no time"
+        rows.remark("missing", "time_s", told, "they were left out", "error", ~finite)
         rows.take(finite)
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, f"the log has {len(rows.time)} rows with a time", allowed="at least two"))
@@ -116,7 +117,6 @@ def order_time(rows: Rows) -> None:
 
 def _merge_duplicates(rows: Rows) -> None:
     first = np.r_[True, np.diff(rows.time) > 0]
-    extra = int((~first).sum())
     starts = np.flatnonzero(first)
     group = np.cumsum(first) - 1
     same = True
@@ -133,9 +133,9 @@ def _merge_duplicates(rows: Rows) -> None:
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = total / number
         merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
-    told = f"{extra} rows repeat the time of the row before" + ("" if same else ", with other values")
+    told = f"{int((~first).sum())} rows repeat the time of the row before" + ("" if same else ", with other values")
     action = "one row was kept for each time" + ("" if same else ", with the mean of the values")
-    rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", int(np.argmin(first)), extra)
+    rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", ~first)
     rows.columns, rows.row = merged, rows.row[starts]
 
 
@@ -148,9 +148,9 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
         if name == "time_s":
             continue
         if isinstance(data, Labels):
-            if gone := int((data.codes < 0).sum()):
-                told, at = f"{gone} rows have no text", int(np.argmax(data.codes < 0))
-                rows.remark("missing", name, told, "they count as a name of their own", "note", at, gone)
+            if (gone := data.codes < 0).any():
+                told = f"{int(gone.sum())} rows have no text"
+                rows.remark("missing", name, told, "they count as a name of their own", "note", gone)
             continue
         known = _known(rows, name, data)
         if known is None:
@@ -177,9 +177,8 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
         if not isinstance(data, Labels) and np.isnan(data.sum()):
             whole &= ~np.isnan(data)
     if not whole.all():
-        count = int((~whole).sum())
-        told = f"{count} of {n} rows lack a value with no other near"
-        rows.remark("missing", "", told, "these rows were left out", "warning", int(np.argmin(whole)), count)
+        told = f"{int((~whole).sum())} of {n} rows lack a value with no other near"
+        rows.remark("missing", "", told, "these rows were left out", "warning", ~whole)
         rows.take(whole)
         for name in held:
             held[name] = held[name][whole]
@@ -196,24 +195,21 @@ def _known(rows: Rows, name: str, data: Array) -> Bools | None:
     if np.isfinite(low) and np.isfinite(high) and limits[0] <= low and high <= limits[1]:
         return None
     known = np.isfinite(data)
-    gone = int((~known).sum())
-    if gone and known.any():
+    if not known.all() and known.any():
         slower = known.mean() <= 1 - _SPARSE
         action, severity = ("held from a slower topic", "note") if slower else (_FILLED, "warning")
-        told = f"{gone} of {len(data)} values are missing"
-        rows.remark("missing", name, told, action, severity, int(np.argmin(known)), gone)
+        told = f"{int((~known).sum())} of {len(data)} values are missing"
+        rows.remark("missing", name, told, action, severity, ~known)
     with np.errstate(invalid="ignore"):
         out = known & ((data < limits[0]) | (data > limits[1]))
-    count = int(out.sum())
-    if count:
-        at = int(np.argmax(out))
+    if count := int(out.sum()):
         beyond = min(_OUTLANDISH * max(abs(limits[0]), abs(limits[1])), _DROWNING)
         wild = bool(np.any(np.abs(data[out]) > beyond))
         single = wild or count < _OUTLIER_SHARE * len(data)
         unit = f" {found[0].unit}" if found is not None and found[0].unit not in ("", "1") else ""
-        told = f"{count} values outside {limits[0]:g} … {limits[1]:g}{unit}, first {data[at]:.6g}"
+        told = f"{count} values outside {limits[0]:g} … {limits[1]:g}{unit}, first {data[out][0]:.6g}"
         action = "they count as missing" if single else "left as they are: a wrong unit? (a map converts it)"
-        rows.remark("range", name, told, action, "error", at, count)
+        rows.remark("range", name, told, action, "error", out)
         if single:
             known &= ~out
     return known if not known.all() else None

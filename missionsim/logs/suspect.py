@@ -176,7 +176,7 @@ def check_meter(rows: Rows, battery: str, power_w: Array) -> None:
     if count > 0.02 * n and count >= 5:
         told = f"exactly zero in {count} rows in which the robot drives: was the meter on?"
         action = "kept; a map with 'keep' leaves such rows out"
-        rows.remark("frozen", name, told, action, "warning", int(np.argmax(dead)), count)
+        rows.remark("frozen", name, told, action, "warning", dead)
     most, below = float(np.max(power_w)), power_w[power_w < np.max(power_w)]
     count = n - len(below)
     if count < _CEILING or np.count_nonzero(np.diff(below) == 0.0) > _TWICE * n:
@@ -230,8 +230,7 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     digit = 10.0 ** np.floor(np.log10(high))
     round_up = np.ceil(high / digit) * digit  # to one digit
     action = f"left as it is; a map can set it to zero there: where(abs({name}) < {round_up:g}, 0, {name})"
-    at = int(np.argmax(slow & ~still))
-    rows.remark("standstill", name, f"{told} and count as driving", action, "warning", at, beyond)
+    rows.remark("standstill", name, f"{told} and count as driving", action, "warning", slow & ~still)
 
 
 _SLOW, _LEVEL = 0.25, 0.1

@@ -232,35 +232,30 @@ def _index_fits(path: Path, messages: int) -> bool:
     return at == size - tail
 
 
-def _leaves(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Paths and values of the numeric and text fields inside a message."""
-    names = getattr(message, "name", None) if not prefix else None
-    kind: Any = type(message)
-    for name in _names(kind):
-        value = getattr(message, name)
-        if name in ("position", "velocity", "effort") and isinstance(names, list) and len(names) == len(value):
-            for joint, item in zip(names, value, strict=True):
-                yield f"{name}[{joint}]", float(item)
-        else:
-            yield from _leaf(value, f"{prefix}{name}")
-
-
-@cache
-def _names(kind: type) -> list[str]:
-    """Fields of a message type, among which its constants stand."""
-    return [name for name in getattr(kind, "__dataclass_fields__", ()) if not (name.startswith("__") or name.isupper())]
-
-
-def _leaf(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Paths and values of the numeric and text fields inside a message, or inside a field of one."""
     if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
         yield path, value
     elif isinstance(value, np.ndarray):
         yield from ((f"{path}[{index}]", number) for index, number in enumerate(value[:_MOST_ELEMENTS].tolist()))
     elif isinstance(value, list):
         for index, item in enumerate(value[:_MOST_ELEMENTS]):
-            yield from _leaf(item, f"{path}[{index}]")
+            yield from _leaves(item, f"{path}[{index}]")
     elif hasattr(value, "__dataclass_fields__"):
-        yield from _leaves(value, f"{path}.")
+        joints = getattr(value, "name", None) if not path else None
+        for name in _names(type(value)):
+            inner = getattr(value, name)
+            of_joints = name in ("position", "velocity", "effort") and isinstance(joints, list)
+            if of_joints and len(joints) == len(inner):
+                yield from ((f"{name}[{joint}]", float(item)) for joint, item in zip(joints, inner, strict=True))
+            else:
+                yield from _leaves(inner, f"{path}.{name}" if path else name)
+
+
+@cache
+def _names(kind: type) -> list[str]:
+    """Fields of a message type, among which its constants stand."""
+    return [name for name in getattr(kind, "__dataclass_fields__", ()) if not (name.startswith("__") or name.isupper())]
 
 
 READERS = (
