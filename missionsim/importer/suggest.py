@@ -49,7 +49,6 @@ class Draft:
     time_s: Array | None = None
     """Times of the rows of a single table, once they are known."""
     _: KW_ONLY
-    guesses: dict[str, Guess] = field(default_factory=dict)
     signals: dict[str, str] = field(default_factory=dict)
     fills: dict[str, str] = field(default_factory=dict)
     head: dict[str, str] = field(default_factory=dict)
@@ -103,7 +102,6 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     """
     joined = _to_join(paths)
     draft = _joined(joined) if joined else _single(paths[0])
-    draft.guesses = guess_all(list(draft.fields.values()))
     if draft.direct:
         _time(draft, paths[0])
     elif "time_s" not in draft.columns:
@@ -193,9 +191,11 @@ def _time(draft: Draft, path: Path) -> None:
         guess = found[0]
         names, formula = [guess.field], draft.ref(guess.field, "t")
     elif texts:
-        days = [g for g in texts if ":" not in _first(draft, g)]
-        clocks = [g for g in texts if ":" in _first(draft, g) and not re.search(r"\d{4}", _first(draft, g))]
-        whole = [g for g in texts if g not in days and g not in clocks]
+        columns = [(guess, draft.fields[guess.field].values) for guess in texts]
+        first = {g.field: values.names[0] for g, values in columns if isinstance(values, Labels) and values.names}
+        days = [g for g in texts if ":" not in first.get(g.field, "")]
+        whole = [g for g in texts if g not in days and re.search(r"\d{4}", first[g.field])]
+        clocks = [g for g in texts if g not in days and g not in whole]
         chosen = whole[:1] or ([days[0], clocks[0]] if days and clocks else clocks[:1])
         if not chosen:
             draft.missing.append("dates without a time of day: give time_s a column of times")
@@ -207,9 +207,8 @@ def _time(draft: Draft, path: Path) -> None:
         formula = ""
     else:
         numbers = [one for one in draft.fields.values() if not isinstance(one.values, Labels) and len(one.values) > 2]
-        index = next(
-            (one.name for one in numbers if (np.diff(np.asarray(one.values)) == 1).all()), ""
-        )  # counts the rows
+        counts = (one.name for one in numbers if (np.diff(np.asarray(one.values)) == 1).all())  # counts the rows
+        index = next(counts, "")
         message = "no column looks like a time: write it in the place of TIME"
         if index:
             message = f"no column is a time; '{index}' counts the rows: put their rate in the place of RATE"
@@ -219,9 +218,8 @@ def _time(draft: Draft, path: Path) -> None:
         guess = Guess("time", index, "", 0.0, message, "not found")
         draft.columns["time_s"] = (f"{draft.ref(index, 'index')} / rate" if index else "TIME", guess)
         return
-    unit = guess.unit or None
     try:
-        stamps = stamps_of(raw, names, None, unit)
+        stamps = stamps_of(raw, names, None, guess.unit or None)
     except InputError as error:
         draft.missing.append(str(error.faults[0].message))
         draft.columns.setdefault("time_s", ("TIME", guess))
@@ -233,11 +231,6 @@ def _time(draft: Draft, path: Path) -> None:
     else:
         told = Guess("time", guess.field, "", 2.0, stamps.form, "sure")
         draft.columns["time_s"] = (draft.columns["time_s"][0], told)
-
-
-def _first(draft: Draft, guess: Guess) -> str:
-    values = draft.fields[guess.field].values
-    return values.names[0] if isinstance(values, Labels) and values.names else ""
 
 
 def _distinct(values: Array | Labels) -> float:

@@ -246,13 +246,9 @@ def _dated(texts: object) -> tuple[str, str, Array]:
     series = series.str.replace(r"(\d{4})\.?[T ]+", r"\1 ", regex=True)
     kind = "local" if ":" in str(series.iloc[0]) else "date"
     mark = "%I" if series.str.contains("[AP]M", case=False, regex=True).any() else "%H"
-    clock = series.str.contains(".", regex=False).any(), series.str.count(":").max() > 1
-    tail = (
-        ""
-        if kind == "date"
-        else f" {mark}:%M" + (":%S" if clock[1] else "") + (".%f" if clock[0] else "") + (" %p" if mark == "%I" else "")
-    )
-    if clock[0]:
+    fractions, seconds = bool(series.str.contains(".", regex=False).any()), bool(series.str.count(":").max() > 1)
+    tail = f" {mark}:%M" + ":%S" * seconds + ".%f" * fractions + " %p" * (mark == "%I") if kind == "local" else ""
+    if fractions:
         series = series.where(series.str.contains(".", regex=False), series + ".0")
     readings = []
     for form, words in (("%d/%m/%Y", "day first"), ("%m/%d/%Y", "month first")):
