@@ -82,13 +82,24 @@ def checked_blocks(blocks: Iterator[RawTable], path: Path, robot: RobotSpec | No
                     allowed = "increasing times, one run a file"
                     raise InputError(Fault(current.file, current.line(0), 0, told, "time_s", allowed=allowed))
             edges = ((before, slice(-lead, None)), (current, slice(None)), (after, slice(_EDGE)))
-            columns = {
-                name: _join([table.columns[name][rows] for table, rows in edges if table is not None])
-                for name in current.columns
-            }
-            joined = RawTable(current.file, columns, current.lines, current.remarks, current.first_row - lead)
             own = (lead, lead + current.rows)
-            yield make_log(joined, path.stem, robot=robot, own=own, statistics=before is None)
+            # without a name, so that it does not stay while the block is used
+            yield make_log(
+                RawTable(
+                    current.file,
+                    {
+                        name: _join([table.columns[name][rows] for table, rows in edges if table is not None])
+                        for name in current.columns
+                    },
+                    current.lines,
+                    current.remarks,
+                    current.first_row - lead,
+                ),
+                path.stem,
+                robot=robot,
+                own=own,
+                statistics=before is None,
+            )
             before = current
         current = after
     if before is None:

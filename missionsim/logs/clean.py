@@ -66,9 +66,9 @@ class Rows:
         count: int = 0,
     ) -> None:
         """Add a remark; `at`: the row (of this table) where it begins, or a mask of the rows, which counts them."""
-        if isinstance(at, np.ndarray):
-            at, count = int(np.argmax(at)), count or int(at.sum())
-        line = self.raw.line(int(self.row[at])) if at is not None and len(self.row) else 0
+        row = int(np.argmax(at)) if isinstance(at, np.ndarray) else at
+        count = int(np.sum(at)) if isinstance(at, np.ndarray) else count
+        line = self.raw.line(int(self.row[row])) if row is not None and len(self.row) else 0
         self.remarks.append(Remark(kind, column, message, action, severity, line, count))
 
 

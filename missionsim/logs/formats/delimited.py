@@ -123,10 +123,11 @@ class _File:
                     held.append(batch)
                     count += batch.num_rows
                     if count >= rows:
-                        if first + count > given:
-                            given = first + count
-                            yield self._raw(held, first)
-                        first, held, count = first + count, [], 0
+                        raw = self._raw(held, first) if first + count > given else None
+                        first, held, count = first + count, [], 0  # before it is given: of long files one block stays
+                        if raw is not None:
+                            given = first
+                            yield raw
                 self._check(first + count)
                 break
             except TextColumn as text:  # begin again with it as text, without what was given already

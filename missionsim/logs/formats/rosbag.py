@@ -242,8 +242,9 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         for index, item in enumerate(value[:_MOST_ELEMENTS]):
             yield from _leaves(item, f"{path}[{index}]")
     elif hasattr(value, "__dataclass_fields__"):
-        joints = getattr(value, "name", None) if not path else None
-        for name in _names(type(value)):
+        kind: Any = type(value)
+        joints: Any = getattr(value, "name", None) if not path else None
+        for name in _names(kind):
             inner = getattr(value, name)
             of_joints = name in ("position", "velocity", "effort") and isinstance(joints, list)
             if of_joints and len(joints) == len(inner):
