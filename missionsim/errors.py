@@ -52,17 +52,15 @@ class Fault:
         if self.path:
             text += f"\n    at: {self.path}"
         if self.got:
-            text += f"\n    got: {_short(self.got)}"
+            # the two ends of a long text; nobody needs ten thousand digits back
+            middle = f" … {self.got[-20:]} ({len(self.got):,} characters)"
+            short = self.got if len(self.got) <= MOST_ECHOED else self.got[: MOST_ECHOED // 2] + middle
+            text += f"\n    got: {short}"
         if self.allowed:
             text += f"\n    allowed: {self.allowed}"
         if self.hint:
             text += f"\n    did you mean: {self.hint}"
         return visible(text)
-
-
-def _short(text: str) -> str:
-    """The two ends of a long text; nobody needs ten thousand digits back."""
-    return text if len(text) <= MOST_ECHOED else f"{text[: MOST_ECHOED // 2]} … {text[-20:]} ({len(text):,} characters)"
 
 
 class MissionsimError(Exception):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from missionsim.files import Json, write_text
+from missionsim.files import Json, fields_of, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,9 +192,8 @@ def monte_carlo(
     p = answer["p_feasible"]
     share = f"{p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g})"
     line = f"{answer['mission']}: {answer['runs']} runs, feasible with probability {share}"
-    return Answer(
-        answer, line, lambda: columns, lambda: answer, ("", *(f"energy_{name}_wh" for name in answer["batteries"]))
-    )
+    drawn = ("", *(f"energy_{name}_wh" for name in answer["batteries"]))
+    return Answer(answer, line, lambda: columns, lambda: answer, drawn)
 
 
 def compare(
@@ -203,14 +202,12 @@ def compare(
     """Model against measurements; see ``missionsim compare``."""
     from missionsim.compare.core import compare_files
 
-    found = compare_files(robot, _listed(logs), mission=mission, by=by)
+    found = compare_files(robot, logs, mission=mission, by=by)
     _warn(found.left_out)
     told = [f"{name} {b.energy_error_pct:+.2f} %, {b.power_rmse_w:.3g} W" for name, b in found.batteries.items()]
-
-    def rows() -> list[dict[str, Any]]:
-        return [{"battery": name, **one} for name, b in found.to_json()["batteries"].items() for one in b["per_run"]]
-
-    return Answer(found, f"{found.robot}: error {'; '.join(told)}", rows, found.to_json, ("run", "energy_error_pct"))
+    rows = [{"battery": name, **run.to_json()} for name, b in found.batteries.items() for run in b.runs]
+    line = f"{found.robot}: error {'; '.join(told)}"
+    return Answer(found, line, lambda: rows, found.to_json, ("run", "energy_error_pct"))
 
 
 def diagnose(
@@ -243,12 +240,9 @@ def diagnose(
     _warn(left_out)
     data = found.to_json()["batteries"]
     told = [f"{n}: {b['verdict']} {' '.join(e['effect'] for e in b['effects'])}".strip() for n, b in data.items()]
-
-    def rows() -> list[dict[str, Any]]:
-        keys = ("effect", "energy_share", "p_value", "heldout_rmse_before_w", "heldout_rmse_after_w")
-        return [{"battery": n, **{k: e.get(k) for k in keys}} for n, b in data.items() for e in b["effects"]]
-
-    return Answer(found, "; ".join(told), rows, found.to_json, ("effect", "energy_share"))
+    keys = ("effect", "energy_share", "p_value", "heldout_rmse_before_w", "heldout_rmse_after_w")
+    rows = [{"battery": n, **{k: e.get(k) for k in keys}} for n, b in data.items() for e in b["effects"]]
+    return Answer(found, "; ".join(told), lambda: rows, found.to_json, ("effect", "energy_share"))
 
 
 def add_effect(
@@ -269,12 +263,9 @@ def add_effect(
     made = adopt(robot_text(robot), spec, split, effect, battery, Settings(), force=force)
     parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
     told = ", ".join(f"{name} = {p['value']:.4g}" for name, p in parameters.items())
-
-    def rows() -> list[dict[str, Any]]:
-        return [{"parameter": name, **p} for name, p in parameters.items()]
-
-    line = f"{effect} on {battery}: {told}"
-    return Answer(made, line, rows, lambda: made.to_json() | {"battery": battery}, ("parameter", "value"), made.text)
+    rows = [{"parameter": name, **p} for name, p in parameters.items()]
+    line, data = f"{effect} on {battery}: {told}", made.to_json() | {"battery": battery}
+    return Answer(made, line, lambda: rows, lambda: data, ("parameter", "value"), made.text)
 
 
 def improve(
@@ -306,17 +297,12 @@ def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Ans
     runs, left_out = read_runs(spec, build_power_model(spec), _paths(logs))
     _warn(left_out)
     done = refit_robot(str(robot), runs, battery)
-
-    def rows() -> list[dict[str, Any]]:
-        keys = ("name", "value", "sd", "before", "unit")
-        return [
-            {"battery": f.battery, **{k: getattr(p, k) for k in keys}} for f in done.fits for p in f.parameters.values()
-        ]
-
+    keys = "name value sd before unit"
+    rows = [{"battery": f.battery, **fields_of(p, keys)} for f in done.fits for p in f.parameters.values()]
     line = "; ".join(f"{f.battery}: {f.before.power_rmse_w:.3g} to {f.after.power_rmse_w:.3g} W" for f in done.fits)
     fits = {fit.battery: fit.to_json() for fit in done.fits}
     data = {"schema": "missionsim.calibration/1", "batteries": fits, "remarks": list(done.remarks)}
-    return Answer(done, line, rows, lambda: data, ("name", "value"), done.text)
+    return Answer(done, line, lambda: rows, lambda: data, ("name", "value"), done.text)
 
 
 def plan(task: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[PlanAnswer]:
@@ -329,13 +315,11 @@ def plan(task: PathLike, *, set: Values | None = None, robot: PathLike | None = 
     data = found.summary()
     text = mission_text(found, Path.cwd() / "plan.yaml") if found.feasible else ""
     line = f"{Path(task).stem}: " + ("planned, " + " - ".join(found.order()) if found.feasible else "no plan")
-
-    def rows() -> list[dict[str, Any]]:
-        # one column a battery, and the sum of them
-        parts = [{f"energy_{name}_wh": wh for name, wh in leg["energy_wh"].items()} for leg in data.get("legs", [])]
-        return [{**leg, "energy_wh": sum(p.values()), **p} for leg, p in zip(data.get("legs", []), parts, strict=True)]
-
-    return Answer(found, line, rows, lambda: data, ("to", "energy_wh"), text)
+    rows = []  # one column a battery, and the sum of them
+    for leg in data.get("legs", []):
+        parts = {f"energy_{name}_wh": wh for name, wh in leg["energy_wh"].items()}
+        rows.append({**leg, "energy_wh": sum(parts.values()), **parts})
+    return Answer(found, line, lambda: rows, lambda: data, ("to", "energy_wh"), text)
 
 
 def import_log(source: Logs, map: PathLike) -> list[Run]:
@@ -343,7 +327,7 @@ def import_log(source: Logs, map: PathLike) -> list[Run]:
     from missionsim.importer.mapping import import_source
     from missionsim.inputs.loading import load_map
 
-    return import_source(_listed(source), load_map(map))
+    return import_source(_paths(source), load_map(map))
 
 
 def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Site]:
@@ -354,8 +338,7 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
     line = f"{site.format}: {len(site.places)} places, {len(site.edges)} ways, {len(site.chargers)} chargers"
 
     def rows() -> list[dict[str, Any]]:
-        lengths = [edge.get("length") or site.straight(edge["from"], edge["to"]) for edge in site.edges]
-        return [{**edge, "length": length} for edge, length in zip(site.edges, lengths, strict=True)]
+        return [{**e, "length": e.get("length") or site.straight(e["from"], e["to"])} for e in site.edges]
 
     return Answer(site, line, rows, site.summary, ("to", "length"), site.environment_text())
 
@@ -380,9 +363,5 @@ def _pairs(values: Values | None) -> tuple[tuple[str, str], ...]:
     return tuple((path, str(value)) for path, value in (values or {}).items())
 
 
-def _listed(paths: Logs) -> list[PathLike]:
-    return [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
-
-
 def _paths(paths: Logs) -> list[str | Path]:
-    return [Path(path) for path in _listed(paths)]
+    return [Path(path) for path in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]

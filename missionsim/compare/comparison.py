@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from missionsim.compare.axes import PlaceCell
@@ -76,17 +76,19 @@ class BatteryComparison(RunError):
     @property
     def by_component_wh(self) -> dict[str, float]:
         """Modelled energy by component, largest first [Wh]."""
-        return self._sums(lambda key: key.component)
+        return self._by("{0.component}")
 
     @property
     def by_term_wh(self) -> dict[str, float]:
         """Modelled energy by term, largest first [Wh]."""
-        return self._sums(lambda key: f"{key.component}.{key.name}")
+        return self._by("{0.component}.{0.name}")
 
-    def _sums(self, name_of: Callable[[TermKey], str]) -> dict[str, float]:
+    def _by(self, form: str) -> dict[str, float]:
         totals: dict[str, float] = {}
-        for key, energy in ((key, energy) for run in self.runs for key, energy in run.by_term_wh.items()):
-            totals[name_of(key)] = totals.get(name_of(key), 0.0) + energy
+        for run in self.runs:
+            for key, energy in run.by_term_wh.items():
+                name = form.format(key)
+                totals[name] = totals.get(name, 0.0) + energy
         return dict(sorted(totals.items(), key=lambda item: -abs(item[1])))
 
     @property

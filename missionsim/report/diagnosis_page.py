@@ -14,42 +14,10 @@ from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import energy_note, measured_note, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY
-from missionsim.report.page import (
-    COLOURS,
-    Block,
-    Bullets,
-    Chart,
-    Command,
-    Details,
-    Paragraph,
-    Section,
-    Table,
-    Tiles,
-    Tone,
-    Verdict,
-    format_cell,
-    label,
-    page,
-)
-from missionsim.report.traces import (
-    FITTED,
-    MARGIN,
-    MEASURED,
-    MODEL,
-    PALE,
-    RESIDUAL,
-    Trace,
-    axis,
-    band,
-    bars,
-    line,
-    one_of,
-    over_time,
-    shared_indices,
-    tiles,
-)
+from missionsim.report import page as web
+from missionsim.report import traces as draw
 
-TONES: dict[str, Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
+TONES: dict[str, web.Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
 TONES["unexplained_structure"] = "bad"
 TOTAL_POINTS = 60_000
 MOST_RUNS = 30
@@ -60,7 +28,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", l
     """The page as HTML. `footer`: how it was made (version, command); `robot`, `logs`: as they were given, for the
     command to type next."""
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
-    return page(
+    return web.page(
         f"{diagnosis.robot}: which effect is missing",
         diagnosis_sections(diagnosis, robot, logs),
         subtitle=f"{runs} runs fitted",
@@ -68,7 +36,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", l
     )
 
 
-def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str | Path] = ()) -> list[Section]:
+def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str | Path] = ()) -> list[web.Section]:
     """The sections of the page, for pages that show a diagnosis among other things."""
     sections = []
     several = len(diagnosis.batteries) > 1
@@ -82,14 +50,14 @@ def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str
             "What to drive next": _next(battery),
             "Details": _details(battery),
         }
-        sections += [Section(prefix + title, blocks) for title, blocks in parts.items() if blocks]
+        sections += [web.Section(prefix + title, blocks) for title, blocks in parts.items() if blocks]
     if diagnosis.skipped:
         told = [f"{name}: {why}" for name, why in diagnosis.skipped.items()]
-        sections.append(Section("Batteries that were not diagnosed", [Bullets(told)]))
+        sections.append(web.Section("Batteries that were not diagnosed", [web.Bullets(told)]))
     return sections
 
 
-def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool) -> list[Block]:
+def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool) -> list[web.Block]:
     cards = []
     command = sentences.next_step(battery, robot, logs, several) if robot else ""
     if battery.effects:
@@ -110,55 +78,55 @@ def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], s
                 energy = f"energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
         cards.append(("Power error, runs not used", f"{before:.3g} → {after:.3g} W", energy))
     drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
-    cards.append(("Mean power", f"{format_cell(battery.mean_power_w, 3)} W", drives))
+    cards.append(("Mean power", f"{web.format_cell(battery.mean_power_w, 3)} W", drives))
     said = [told for told in (sentences.sure(battery), sentences.errors(battery)) if told]
     tone = "bad" if unseen_note(battery) else TONES[battery.verdict]
-    blocks: list[Block] = [Verdict(words.headline(battery), tone), Tiles(cards)]
-    blocks += [Paragraph(told) for told in said]
+    blocks: list[web.Block] = [web.Verdict(words.headline(battery), tone), web.Tiles(cards)]
+    blocks += [web.Paragraph(told) for told in said]
     if command:
-        blocks.append(Command("Type this next", command))
+        blocks.append(web.Command("Type this next", command))
     elif battery.next_experiments:
-        blocks.append(Paragraph(f"Drive next: {battery.next_experiments[0].do}."))
+        blocks.append(web.Paragraph(f"Drive next: {battery.next_experiments[0].do}."))
     lines = [[heading, text] for heading, text in words.report(battery) if heading != "NOTE"]
-    table = Table(["", "what the data say"], lines)
-    return [*blocks, Details("Everything the data say, with numbers", [table])]
+    table = web.Table(["", "what the data say"], lines)
+    return [*blocks, web.Details("Everything the data say, with numbers", [table])]
 
 
-def _law(battery: BatteryDiagnosis) -> list[Block]:
+def _law(battery: BatteryDiagnosis) -> list[web.Block]:
     """The curve of a proposed law with its band, its forms, what would tell them apart."""
-    blocks: list[Block] = []
+    blocks: list[web.Block] = []
     for law in battery.proposed_laws:
         curve = law.curve
         if curve is not None:
             word, unit = QUANTITY.get(curve.variable, (curve.variable, curve.unit))
             fixed = ", ".join(
-                f"{QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else format_cell(v, 2)}"
+                f"{QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else web.format_cell(v, 2)}"
                 for n, v in curve.at.items()
             )
             hover = "%{x:.3g}: %{y:.3g} W<extra></extra>"
             traces = [
-                *band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
-                line(curve.x, curve.watts, "the plainest form", MEASURED, 2, hovertemplate=hover),
+                *draw.band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
+                draw.line(curve.x, curve.watts, "the plainest form", draw.MEASURED, 2, hovertemplate=hover),
             ]
             layout = {
-                "xaxis": axis(f"{label(word)}{', ' if unit else ''}{label(unit)}"),
-                "yaxis": axis("power that the model lacks, W"),
+                "xaxis": draw.axis(f"{web.label(word)}{', ' if unit else ''}{web.label(unit)}"),
+                "yaxis": draw.axis("power that the model lacks, W"),
                 "hovermode": "closest",
             }
             held = f", {fixed} held" if fixed else ""
-            blocks.append(Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
+            blocks.append(web.Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
         rows = [
             [i, one.formula, one.k, one.low, one.high, one.unit, one.behind_nats] for i, one in enumerate(law.laws, 1)
         ]
         columns = ["form", "formula", "k", "from", "to", "unit of k", "nats behind"]
         caption = "Forms that these data cannot tell apart; their numbers serve add-effect --formula"
-        blocks.append(Table(columns, rows, caption, 3))
+        blocks.append(web.Table(columns, rows, caption, 3))
         if law.experiment:
-            blocks.append(Paragraph(f"To tell them apart: {law.experiment}."))
+            blocks.append(web.Paragraph(f"To tell them apart: {law.experiment}."))
     return blocks
 
 
-def _candidates(battery: BatteryDiagnosis) -> list[Block]:
+def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
     found = {effect.effect: effect for effect in battery.effects}
     rows = sorted(
         (
@@ -169,97 +137,103 @@ def _candidates(battery: BatteryDiagnosis) -> list[Block]:
         ),
         key=lambda c: (c.effect not in found, c.smallest_detectable_share or 0.0),
     )
-    blocks: list[Block] = []
+    blocks: list[web.Block] = []
     if rows:
-        names = [label(c.effect) for c in rows][::-1]
+        names = [web.label(c.effect) for c in rows][::-1]
         limits = [_percent(c.smallest_detectable_share) for c in rows][::-1]
         effects = [found[c.effect] for c in rows if c.effect in found][::-1]
         hover = "%{y}: %{x:.2f} %<extra></extra>"
-        traces = [bars(names, limits, PALE, name="smallest share that would be found", hovertemplate=hover)]
+        traces = [draw.bars(names, limits, draw.PALE, name="smallest share that would be found", hovertemplate=hover)]
         if effects:
             up = [100 * (e.share_high - e.energy_share) if math.isfinite(e.share_high) else 0.0 for e in effects]
             down = [100 * (e.energy_share - e.share_low) if math.isfinite(e.share_low) else 0.0 for e in effects]
-            points: Trace = {
+            points: draw.Trace = {
                 "type": "scatter",
                 "mode": "markers",
                 "x": [100 * e.energy_share for e in effects],
-                "y": [label(e.effect) for e in effects],
+                "y": [web.label(e.effect) for e in effects],
                 "name": "found, with 95 % interval",
-                "marker": {"color": MEASURED, "size": 10},
-                "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
+                "marker": {"color": draw.MEASURED, "size": 10},
+                "error_x": {
+                    "type": "data",
+                    "symmetric": False,
+                    "array": up,
+                    "arrayminus": down,
+                    "color": draw.MEASURED,
+                },
                 "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>",
             }
             traces.append(points)
         layout = {
-            "xaxis": axis("share of the battery's energy, %", rangemode="tozero"),
+            "xaxis": draw.axis("share of the battery's energy, %", rangemode="tozero"),
             "hovermode": "closest",
-            "margin": {"l": 220, **MARGIN},
+            "margin": {"l": 220, **draw.MARGIN},
         }
         caption = (
             "Effects that were found, and how large the others could be without being seen (80 % power); those of "
             "which these data say nothing are left out."
         )
-        blocks.append(Chart(traces, layout, caption, 90 + 24 * len(names)))
+        blocks.append(web.Chart(traces, layout, caption, 90 + 24 * len(names)))
     columns = ["effect", "taken", "reason", "smallest detectable share, %"]
     told = [
         [c.effect, "yes" if c.accepted else "no", c.reason, _percent(c.smallest_detectable_share)]
         for c in battery.candidates
     ]
-    blocks.append(Details("Every candidate and the reason", [Table(columns, told, digits=3)]))
+    blocks.append(web.Details("Every candidate and the reason", [web.Table(columns, told, digits=3)]))
     if battery.untestable:
-        needs = Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])
-        blocks.append(Details("Effects that these logs cannot test", [needs]))
+        needs = web.Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])
+        blocks.append(web.Details("Effects that these logs cannot test", [needs]))
     return blocks
 
 
-def _series(battery: BatteryDiagnosis, several: bool) -> list[Block]:
+def _series(battery: BatteryDiagnosis, several: bool) -> list[web.Block]:
     shown = battery.series[:MOST_RUNS]
     if not shown:
-        return [Paragraph("No run to show.")]
+        return [web.Paragraph("No run to show.")]
     points = TOTAL_POINTS // (len(shown) * (2 if several else 1))
     more = len(battery.series) > len(shown)
     note = f"The first {len(shown)} of {len(battery.series)} runs." if more else ""
-    return one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
+    return draw.one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
 
 
-def _run_chart(run: RunSeries, points: int) -> Chart:
+def _run_chart(run: RunSeries, points: int) -> web.Chart:
     left = run.measured_w - run.fitted_w
-    pick = shared_indices([run.measured_w, left], max(points // 4, 200))
+    pick = draw.shared_indices([run.measured_w, left], max(points // 4, 200))
     time_s = run.time_s[pick]
     lines = [
-        ("measured", run.measured_w, MEASURED),
-        ("model of the robot file", run.nominal_w, MODEL),
-        ("with what was found", run.fitted_w, FITTED),
+        ("measured", run.measured_w, draw.MEASURED),
+        ("model of the robot file", run.nominal_w, draw.MODEL),
+        ("with what was found", run.fitted_w, draw.FITTED),
     ]
-    traces = [line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
-    before = line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", MODEL, 1, yaxis="y2")
+    traces = [draw.line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
+    before = draw.line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", draw.MODEL, 1, yaxis="y2")
     traces.append({**before, "visible": "legendonly"})
-    traces.append(line(time_s, left[pick], "left: with what was found", RESIDUAL, 1, yaxis="y2"))
+    traces.append(draw.line(time_s, left[pick], "left: with what was found", draw.RESIDUAL, 1, yaxis="y2"))
     caption = f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned."
-    return over_time(traces, "left, W", caption, 520)
+    return draw.over_time(traces, "left, W", caption, 520)
 
 
-def _next(battery: BatteryDiagnosis) -> list[Block]:
-    blocks: list[Block] = []
+def _next(battery: BatteryDiagnosis) -> list[web.Block]:
+    blocks: list[web.Block] = []
     if battery.next_experiments:
         rows = [
             [e.do, " / ".join(e.separates), e.separation_now, e.separation_after, e.expected_power, e.minutes]
             for e in battery.next_experiments
         ]
         columns = ["drive this", "to tell apart", "separation now, nats", "after, nats"]
-        blocks.append(Table([*columns, "probability that it resolves", "minutes"], rows, digits=3))
+        blocks.append(web.Table([*columns, "probability that it resolves", "minutes"], rows, digits=3))
     elif any(law.experiment for law in battery.proposed_laws):
-        blocks += [Paragraph(f"{law.experiment[:1].upper()}{law.experiment[1:]}.") for law in battery.proposed_laws]
+        blocks += [web.Paragraph(f"{law.experiment[:1].upper()}{law.experiment[1:]}.") for law in battery.proposed_laws]
     else:
         varies = "No drive of ours varies what remains; log what may cause it."
         left = "Nothing is left that an experiment would have to separate."
-        blocks.append(Paragraph(varies if battery.unexplained.shape else left))
+        blocks.append(web.Paragraph(varies if battery.unexplained.shape else left))
     return blocks
 
 
-def _details(battery: BatteryDiagnosis) -> list[Block]:
-    blocks: list[Block] = [
-        Table(
+def _details(battery: BatteryDiagnosis) -> list[web.Block]:
+    blocks: list[web.Block] = [
+        web.Table(
             ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"],
             [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
             "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery",
@@ -277,13 +251,13 @@ def _details(battery: BatteryDiagnosis) -> list[Block]:
             for kind, text in models.items()
         ]
         columns = ["held-out runs", "model", "energy error, %", "power error (RMS), W"]
-        blocks.append(Table(columns, rows, "Errors on runs that were not used to fit", 3))
+        blocks.append(web.Table(columns, rows, "Errors on runs that were not used to fit", 3))
     if battery.remarks:
-        blocks.append(Bullets(list(battery.remarks)))
+        blocks.append(web.Bullets(list(battery.remarks)))
     return blocks
 
 
-def _alike(battery: BatteryDiagnosis) -> Chart:
+def _alike(battery: BatteryDiagnosis) -> web.Chart:
     """Each effect found against the effects that look most like it."""
     found = list(battery.confounding)
     most: dict[str, float] = {}
@@ -302,10 +276,10 @@ def _alike(battery: BatteryDiagnosis) -> Chart:
     within: dict[str, Any] = {"textposition": "inside", "insidetextanchor": "middle", "textangle": 0}
     within |= {"text": [f"{value:.2f}" for value in r], "hovertemplate": "%{hovertext}<extra></extra>"}
     within["hovertext"] = [f"{found[int(j)]} and {others[int(i)]}: r = {value:.2f}" for i, j, value in alike]
-    heat = tiles(x, y, r, size=1.0, limit=1.0, colours=("#d55e00", "#f4f6f8", "#0072b2"), **within)
+    heat = draw.tiles(x, y, r, size=1.0, limit=1.0, colours=("#d55e00", "#f4f6f8", "#0072b2"), **within)
 
-    def named(names: list[str]) -> Trace:
-        return axis("", tickvals=list(range(len(names))), ticktext=list(map(label, names)), showgrid=False)
+    def named(names: list[str]) -> draw.Trace:
+        return draw.axis("", tickvals=list(range(len(names))), ticktext=list(map(web.label, names)), showgrid=False)
 
     layout = {
         "xaxis": named(others),
@@ -317,7 +291,7 @@ def _alike(battery: BatteryDiagnosis) -> Chart:
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
         "the same, at 0 they have nothing in common."
     )
-    return Chart([heat], layout, caption, 240 + 30 * len(found))
+    return web.Chart([heat], layout, caption, 240 + 30 * len(found))
 
 
 def _percent(value: float | None) -> float | None:
@@ -326,18 +300,18 @@ def _percent(value: float | None) -> float | None:
 
 def improve_page(robot: str, done: Sequence[Improved], *, advice: Mapping[str, tuple[str, str]] | None = None) -> str:
     """The page as HTML. `done`: one a battery; `advice`: by battery what predicts better, and its command."""
-    sections: list[Section] = []
+    sections: list[web.Section] = []
     for one in done:
         prefix = f"Battery {one.battery}: " if len(done) > 1 else ""
         better = (advice or {}).get(one.battery, ("", ""))
-        sections.append(Section(f"{prefix}Result", _improvement(one, *better)))
+        sections.append(web.Section(f"{prefix}Result", _improvement(one, *better)))
         for title, diagnosis in (("Before", one.first), ("After", one.last)):
             inner = diagnosis_sections(Diagnosis(robot, {one.battery: diagnosis}))
-            sections += [Section(f"{prefix}{title}: {part.title}", part.blocks) for part in inner]
-    return page(f"{robot}: model improved", sections, subtitle="compare, diagnose, add, compare again")
+            sections += [web.Section(f"{prefix}{title}: {part.title}", part.blocks) for part in inner]
+    return web.page(f"{robot}: model improved", sections, subtitle="compare, diagnose, add, compare again")
 
 
-def _improvement(one: Improved, better: str, command: str) -> list[Block]:
+def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
     text = "".join(f"{told} " for told in (one.worse, better) if told)
@@ -349,36 +323,39 @@ def _improvement(one: Improved, better: str, command: str) -> list[Block]:
     )
     if note := energy_note(one):
         text += f" {note}"
-    names = [label(step.name) for step in one.steps]
+    names = [web.label(step.name) for step in one.steps]
     floor = one.steps[-1]
-    charts: list[Block] = []
+    charts: list[web.Block] = []
     for title, values, level in (
         ("power error (RMS), W", [s.power_rmse_w for s in one.steps], floor.power_rmse_w),
         ("energy error, mean over runs, %", [s.energy_error_pct for s in one.steps], floor.energy_error_pct),
     ):
-        colours = [COLOURS[1], *([COLOURS[4]] * (len(values) > 2)), *([COLOURS[2]] * (len(values) - 3)), "#aab2bd"]
-        steps: Trace = {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False}
-        steps |= {"text": [format_cell(v, 3) for v in values], "textposition": "outside"}
+        fitted, added, later = web.COLOURS[1], web.COLOURS[4], web.COLOURS[2]
+        colours = [fitted, *([added] * (len(values) > 2)), *([later] * (len(values) - 3)), "#aab2bd"]
+        steps: draw.Trace = {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False}
+        steps |= {"text": [web.format_cell(v, 3) for v in values], "textposition": "outside"}
         steps["hovertemplate"] = "%{x}: %{y:.3g}<extra></extra>"
-        noise = line(names, [level] * len(names), "noise floor", hoverinfo="skip")
-        noise["line"] = {"color": RESIDUAL, "dash": "dot"}
-        layout = {"yaxis": axis(title, rangemode="tozero"), "hovermode": "closest"}
+        noise = draw.line(names, [level] * len(names), "noise floor", hoverinfo="skip")
+        noise["line"] = {"color": draw.RESIDUAL, "dash": "dot"}
+        layout = {"yaxis": draw.axis(title, rangemode="tozero"), "hovermode": "closest"}
         floors = "the noise floor is what a true model would still show"
         caption = f"The {title.split(',')[0]} on {which}, step by step; {floors}."
-        charts.append(Chart([steps, noise], layout, caption, 360))
-    tone: Tone = "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
-    table = Table(
+        charts.append(web.Chart([steps, noise], layout, caption, 360))
+    tone: web.Tone = (
+        "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
+    )
+    table = web.Table(
         ["model", "energy error, %", "power error (RMS), W"],
         [[s.name, f"{s.energy_error_pct:.2f}", f"{s.power_rmse_w:.3g}"] for s in one.steps],
         measured_note(one),
         3,
     )
-    tiles = Tiles(
+    tiles = web.Tiles(
         [
             ("Added", str(len(one.added)), ", ".join(one.added)),
             ("Power error", f"{first.power_rmse_w:.3g} → {last.power_rmse_w:.3g} W", which),
             ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ"),
         ]
     )
-    typed = [Command("Type this next", command)] if command else []
-    return [Verdict(text, tone), *typed, tiles, *charts, table]
+    typed = [web.Command("Type this next", command)] if command else []
+    return [web.Verdict(text, tone), *typed, tiles, *charts, table]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,10 +44,13 @@ class Paper:
         out = float(np.maximum([self.frame[0] - (centre - half), centre + half - self.frame[1]], 0.0).sum())
         return inside(self.drawn) + 4.0 * inside(self.spots) + 6.0 * inside(self.text) + out
 
-    def _take(self, centre: Points, size: Points, angle: float = 0.0) -> None:
+    def _best(self, options: list[tuple[float, tuple[float, ...]]], size: Points, angle: float = 0.0) -> Any:
+        """The centre of least cost, in the units of the map; the box there is taken."""
+        centre = np.array(min(options)[1])
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 25), np.linspace(-0.5, 0.5, 7)), axis=-1).reshape(-1, 2)
         self.text = np.concatenate([self.text, centre + (grid * size) @ turn])
+        return tuple(self.axes.transData.inverted().transform(centre))
 
     def write(self, at: Points, text: str, size: float, colour: str) -> None:
         """Write beside a point, where least is covered."""
@@ -59,10 +62,7 @@ class Paper:
                 gap = far * self.scale * (0.75 if x and y else 1.0)
                 centre = spot + np.array([x, y]) * (gap + 0.5 * box)
                 options.append((self._crossed(centre, box) + 0.2 * k + 0.15 * far, tuple(centre)))
-        centre = np.array(min(options)[1])
-        self._take(centre, box)
-        place = tuple(self.axes.transData.inverted().transform(centre))
-        self.axes.annotate(text, place, fontsize=size, color=colour,
+        self.axes.annotate(text, self._best(options, box), fontsize=size, color=colour,
                            ha="center", va="center", zorder=7, bbox=BOX, in_layout=False)  # fmt: skip
 
     def along(self, line: Points, text: str) -> None:
@@ -80,9 +80,6 @@ class Paper:
                 centre = point + side * self.scale * up
                 worse = 0.1 * abs(side) + 4.0 * abs(share - 0.5)
                 options.append((self._crossed(centre, box, angle) + worse, tuple(centre)))
-        centre = np.array(min(options)[1])
-        self._take(centre, box, angle)
-        at = tuple(self.axes.transData.inverted().transform(centre))
-        self.axes.annotate(text, at, fontsize=size, color="#555555", ha="center",
+        self.axes.annotate(text, self._best(options, box, angle), fontsize=size, color="#555555", ha="center",
                            va="center", rotation=math.degrees(angle), rotation_mode="anchor", zorder=5,
                            in_layout=False)  # fmt: skip
