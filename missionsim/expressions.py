@@ -122,11 +122,7 @@ class Expression:
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (self.source, self.place)
-
-
-def _again(source: str, place: Place) -> Expression:
-    return compile_expression(source, **place._asdict())
+        return functools.partial(compile_expression, **self.place._asdict()), (self.source,)
 
 
 def compile_expression(
@@ -162,14 +158,11 @@ def compile_expression(
     found: set[str] = set()
     run = _compile(tree.body, allowed, found, fault)
     place = Place(file, line, column, path)
-    lags = [_lag(node, place, fault) for node in ast.walk(tree) if _is_lag(node)]
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "lag"]
+    lags = [_lag(node, place, fault) for node in calls if len(node.args) == _ARGUMENTS["lag"]]
     if faults:
         raise InputError(faults)
     return Expression(text.strip(), frozenset(found), tuple(lags), run, place)
-
-
-def _is_lag(node: ast.AST) -> bool:
-    return isinstance(node, ast.Call) and ast.unparse(node.func) == "lag" and len(node.args) == _ARGUMENTS["lag"]
 
 
 def _lag(node: Any, place: Place, fault: Callable[..., None]) -> Lag:

@@ -6,7 +6,6 @@ import csv
 import functools
 import itertools
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,13 +32,11 @@ class Column:
     meaning: str
 
 
-def _columns() -> Iterator[Column]:
-    with open(Path(__file__).with_name("glossary.csv"), newline="", encoding="utf-8") as handle:
-        for name, unit, kind, low, high, large, perhaps, meaning in itertools.islice(csv.reader(handle), 1, None):
-            yield Column(name, unit, kind, float(low), float(high), float(large), perhaps, meaning)
-
-
-COLUMNS = tuple(_columns())
+with open(Path(__file__).with_name("glossary.csv"), newline="", encoding="utf-8") as _table:
+    COLUMNS = tuple(
+        Column(name, unit, kind, float(low), float(high), float(large), perhaps, meaning)
+        for name, unit, kind, low, high, large, perhaps, meaning in itertools.islice(csv.reader(_table), 1, None)
+    )
 _PATTERNS = [(re.compile(f"^{re.sub('<[a-z]+>', '(?P<of>[a-z0-9_]+?)', one.name)}$"), one) for one in COLUMNS]
 
 

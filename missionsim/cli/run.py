@@ -13,7 +13,7 @@ from missionsim.report.terminal import console, show_table, simple_table, titled
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from missionsim.engine.outcome import BatteryResult, RunResult
+    from missionsim.engine.outcome import RunResult
 
 
 def run(
@@ -98,9 +98,14 @@ def show(result: RunResult) -> None:
     if result.dock_s:
         charged = ", ".join(f"{name} {b.charged_wh:.3f} Wh" for name, b in result.batteries.items() if b.charged_wh)
         terminal.print(f"  charged at docks in {clock(result.dock_s)}: {charged or 'nothing'}")
-    for name, battery in result.batteries.items():
-        if text := trouble(battery):
-            terminal.print(f"  {name}: {text}")
+    for name, b in result.batteries.items():
+        if b.empty_at_s is not None:
+            empty = f"empty at {clock(b.empty_at_s)} in {b.empty_in_segment}"
+            terminal.print(f"  {name}: {empty}, {b.deficit_wh:.3f} Wh short")
+        elif b.deficit_wh > 0.0:
+            terminal.print(f"  {name}: {b.deficit_wh:.3f} Wh short of the whole mission")
+        elif b.charge_left_wh < b.reserve_required_wh * (1 - 1e-9):
+            terminal.print(f"  {name}: below its reserve")
     if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
         why = "the environment has no way from the mission's end to a dock, or that end is no place of it"
         if "environment" not in result.provenance.get("files", {}):
@@ -144,17 +149,6 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
     columns = ["segment", "kind", ">times", *(f">{name}" for name in result.batteries)]
     cells = [(label, kind, times, *(f"{part:.3f}" for part in parts)) for _, label, kind, times, parts in shown]
     return simple_table(title, columns, cells)
-
-
-def trouble(battery: BatteryResult) -> str:
-    """What goes wrong with a battery, in few words."""
-    if battery.empty_at_s is not None:
-        return f"empty at {clock(battery.empty_at_s)} in {battery.empty_in_segment}, {battery.deficit_wh:.3f} Wh short"
-    if battery.deficit_wh > 0.0:
-        return f"{battery.deficit_wh:.3f} Wh short of the whole mission"
-    if battery.charge_left_wh < battery.reserve_required_wh * (1 - 1e-9):
-        return "below its reserve"
-    return ""
 
 
 def clock(seconds: float) -> str:

@@ -15,8 +15,8 @@ from missionsim.compare import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import OF_SCHEME, PARTS
 from missionsim.physics import Array
+from missionsim.report.page import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 from missionsim.report.terminal import signed, simple_table
-from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 from missionsim.results.write import write_table
 
 if TYPE_CHECKING:

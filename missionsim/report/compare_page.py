@@ -10,7 +10,6 @@ from missionsim.compare import BatteryComparison, Comparison, Dependence, RunCom
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
 from missionsim.report import page as web
-from missionsim.report import traces as draw
 from missionsim.report.compare_files import DIVERGING, error_grid
 from missionsim.report.page import label
 from missionsim.report.terminal import signed
@@ -45,7 +44,7 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
     }
     for heading, make in parts.items():
         if made := [(one.battery, blocks) for one in batteries if (blocks := make(one))]:
-            sections.append(web.Section(heading, draw.one_of("Battery", made)))
+            sections.append(web.Section(heading, web.one_of("Battery", made)))
     assumed = web.Bullets(comparison.notes) if comparison.notes else web.Paragraph("Nothing had to be assumed.")
     notes: list[web.Block] = [assumed]
     if files := [[run, source] for run, source in comparison.logs if source]:
@@ -84,13 +83,13 @@ def _where(one: BatteryComparison) -> list[web.Block]:
         parts = [100.0 * d.explained for d in shown]
         hover = "%{y}: %{x:.1f} %<extra></extra>"
         layout = {
-            "xaxis": draw.axis("part of the error's variance, %", rangemode="tozero"),
+            "xaxis": web.axis("part of the error's variance, %", rangemode="tozero"),
             "hovermode": "closest",
-            "margin": {"l": 180, **draw.MARGIN},
+            "margin": {"l": 180, **web.MARGIN},
         }
         blocks.append(
             web.Chart(
-                [draw.bars([label(d.title) for d in shown], parts, draw.MEASURED, hovertemplate=hover)],
+                [web.bars([label(d.title) for d in shown], parts, web.MEASURED, hovertemplate=hover)],
                 layout,
                 "What the power error varies with, each quantity taken alone. Quantities that vary together share the "
                 "same part, so this shows where to look, not the cause.",
@@ -114,25 +113,25 @@ def _where(one: BatteryComparison) -> list[web.Block]:
 def _residual(found: Dependence) -> web.Chart:
     bins = found.fine
     numeric = bins[0].low is not None
-    x: draw.Values = [label(b.value) if b.low is None or b.high is None else 0.5 * (b.low + b.high) for b in bins]
+    x: web.Values = [label(b.value) if b.low is None or b.high is None else 0.5 * (b.low + b.high) for b in bins]
     seconds = sum(b.seconds for b in bins)
-    time: draw.Trace = {
+    time: web.Trace = {
         "type": "bar",
         "x": x,
         "y": [100.0 * b.seconds / seconds for b in bins],
         "yaxis": "y2",
         "name": "share of time",
-        "marker": {"color": draw.PALE},
+        "marker": {"color": web.PALE},
         "hovertemplate": "%{y:.1f} % of the time<extra></extra>",
     }
-    error = draw.line(
+    error = web.line(
         x,
         [b.bias_w for b in bins],
         "mean error (model minus measured)",
-        draw.MODEL,
+        web.MODEL,
         2,
         mode="lines+markers" if numeric else "markers",
-        marker={"size": 7 if numeric else 11, "color": draw.MODEL},
+        marker={"size": 7 if numeric else 11, "color": web.MODEL},
         text=[
             f"{label(b.value)} {found.unit}: {b.bias_w:+.3g} W ± {b.spread_w:.3g} W, {b.seconds:.0f} s" for b in bins
         ],
@@ -141,10 +140,10 @@ def _residual(found: Dependence) -> web.Chart:
     )
     title = label(found.title) + (f", {found.unit}" if found.unit else "")
     layout = {
-        "xaxis": draw.axis(title, **({} if numeric else {"type": "category"})),
-        "yaxis": draw.axis("power error, W", overlaying="y2", tickmode="auto", zeroline=True, zerolinewidth=2),
-        "yaxis2": draw.axis("share of time, %", side="right", showgrid=False, tickmode="auto", rangemode="tozero"),
-        "margin": {**draw.MARGIN, "l": 64, "r": 64},
+        "xaxis": web.axis(title, **({} if numeric else {"type": "category"})),
+        "yaxis": web.axis("power error, W", overlaying="y2", tickmode="auto", zeroline=True, zerolinewidth=2),
+        "yaxis2": web.axis("share of time, %", side="right", showgrid=False, tickmode="auto", rangemode="tozero"),
+        "margin": {**web.MARGIN, "l": 64, "r": 64},
         "hovermode": "closest",
     }
     caption = f"Power error against {found.title}: mean and standard deviation within each range; bars: share of time."
@@ -157,27 +156,27 @@ def _power(one: BatteryComparison, batteries: int) -> list[web.Block]:
     points = max(200, TOTAL_POINTS // (6 * batteries * len(shown)))
     more = len(shown) < len(one.runs)
     note = f"The {MOST_RUNS} runs with the largest power error of {len(one.runs)}." if more else ""
-    return draw.one_of("Run", [(run.run, [_power_chart(run, points)]) for run in shown], note)
+    return web.one_of("Run", [(run.run, [_power_chart(run, points)]) for run in shown], note)
 
 
 def _power_chart(run: RunComparison, points: int) -> web.Chart:
     series = run.series
     measured, model = series.power_w("measured"), series.power_w("model")
-    kept = draw.shared_indices([measured, model, model - measured], points)
+    kept = web.shared_indices([measured, model, model - measured], points)
     time_s = series.middle_s[kept]
-    traces: list[draw.Trace] = []
+    traces: list[web.Trace] = []
     if series.rows > 1:
         low, high = (series.columns[f"measured_{end}_w"][kept] for end in ("low", "high"))
-        traces += draw.band(time_s, low, high, "range of the measured power", 0.15)
+        traces += web.band(time_s, low, high, "range of the measured power", 0.15)
     for name, values, colour, on in (
-        ("measured", measured, draw.MEASURED, "y"),
-        ("model", model, draw.MODEL, "y"),
-        ("model minus measured", model - measured, draw.RESIDUAL, "y2"),
+        ("measured", measured, web.MEASURED, "y"),
+        ("model", model, web.MODEL, "y"),
+        ("model minus measured", model - measured, web.RESIDUAL, "y2"),
     ):
-        traces.append(draw.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
+        traces.append(web.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
     joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
     caption = f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
-    return draw.over_time(traces, "error, W", caption)
+    return web.over_time(traces, "error, W", caption)
 
 
 def _progress(one: BatteryComparison) -> list[web.Block]:
@@ -187,13 +186,13 @@ def _progress(one: BatteryComparison) -> list[web.Block]:
         told.append(("simulated plan", "plan", plan.error_statistics_predicted))
     rows = [[of, to, found.peak_pct, found.final_pct, found.mean_pct, found.std_pct] for of, to, found in told]
     hover = "%{y:+.2f} %"
-    traces = [draw.line(100.0 * one.progress, one.error_curve_pct, "all runs", "#1f2933", 2.5, hovertemplate=hover)]
+    traces = [web.line(100.0 * one.progress, one.error_curve_pct, "all runs", "#1f2933", 2.5, hovertemplate=hover)]
     for run in one.runs[:MOST_RUNS] if len(one.runs) > 1 else ():
-        curve = draw.line(100.0 * run.progress, run.error_curve_pct, label(run.run), width=1, hovertemplate=hover)
+        curve = web.line(100.0 * run.progress, run.error_curve_pct, label(run.run), width=1, hovertemplate=hover)
         traces.append({**curve, "opacity": 0.7})
     layout = {
-        "xaxis": draw.axis("progress, % of the run's time"),
-        "yaxis": draw.axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
+        "xaxis": web.axis("progress, % of the run's time"),
+        "yaxis": web.axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
     }
     columns = ["of", "relative to", "peak, %", "final, %", "mean, %", "standard deviation, %"]
     return [
@@ -207,20 +206,20 @@ def _map(one: BatteryComparison) -> list[web.Block]:
         return []
     cells = one.places
     grid, limit = error_grid(cells)
-    heat = draw.tiles(
+    heat = web.tiles(
         np.array([c.x_m for c in cells]),
         np.array([c.y_m for c in cells]),
         np.array([-c.gap_j / c.seconds for c in cells]),
         size=cells[0].width_m,
         limit=limit,
         colours=DIVERGING,
-        bar=draw.axis("error, W"),
+        bar=web.axis("error, W"),
         hovertext=[f"{c.value}: {-c.gap_j / c.seconds:.3g} W, {c.seconds:.0f} s" for c in cells],
         hovertemplate="%{hovertext}<extra></extra>",
     )
     layout = {
-        "xaxis": draw.axis("x, m", constrain="domain"),
-        "yaxis": draw.axis("y, m", scaleanchor="x", constrain="domain"),
+        "xaxis": web.axis("x, m", constrain="domain"),
+        "yaxis": web.axis("y, m", scaleanchor="x", constrain="domain"),
         "hovermode": "closest",
     }
     caption = (
@@ -235,16 +234,16 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
         return []
     gap = one.gap_wh
     steps = [gap["power_model"] or 0.0, *(mission.part_wh(part) for part in PARTS)]
-    waterfall: draw.Trace = {
+    waterfall: web.Trace = {
         "type": "bar",
         "x": ["power model", *(PART_TITLES[part] for part in PARTS), "measured minus simulated"],
         "y": [*steps, gap["total"]],
         "base": [*np.cumsum([0.0, *steps[:-1]]), 0.0],
-        "marker": {"color": [*(draw.MODEL if step > 0.0 else draw.MEASURED for step in steps), draw.RESIDUAL]},
+        "marker": {"color": [*(web.MODEL if step > 0.0 else web.MEASURED for step in steps), web.RESIDUAL]},
         "hovertemplate": "%{x}: %{customdata:+.4g} Wh<extra></extra>",
         "customdata": [*steps, gap["total"]],
     }
-    layout = {"yaxis": draw.axis("energy, Wh", zeroline=True), "hovermode": "closest"}
+    layout = {"yaxis": web.axis("energy, Wh", zeroline=True), "hovermode": "closest"}
     caption = (
         "The gap between measured and simulated energy: what the power model misses and what the robot did otherwise."
     )

@@ -15,7 +15,6 @@ from missionsim.diagnose.waterfall import energy_note, measured_note, unseen_not
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY
 from missionsim.report import page as web
-from missionsim.report import traces as draw
 
 TONES: dict[str, web.Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
 TONES["unexplained_structure"] = "bad"
@@ -105,12 +104,12 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
             )
             hover = "%{x:.3g}: %{y:.3g} W<extra></extra>"
             traces = [
-                *draw.band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
-                draw.line(curve.x, curve.watts, "the plainest form", draw.MEASURED, 2, hovertemplate=hover),
+                *web.band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
+                web.line(curve.x, curve.watts, "the plainest form", web.MEASURED, 2, hovertemplate=hover),
             ]
             layout = {
-                "xaxis": draw.axis(f"{web.label(word)}{', ' if unit else ''}{web.label(unit)}"),
-                "yaxis": draw.axis("power that the model lacks, W"),
+                "xaxis": web.axis(f"{web.label(word)}{', ' if unit else ''}{web.label(unit)}"),
+                "yaxis": web.axis("power that the model lacks, W"),
                 "hovermode": "closest",
             }
             held = f", {fixed} held" if fixed else ""
@@ -143,31 +142,25 @@ def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
         limits = [_percent(c.smallest_detectable_share) for c in rows][::-1]
         effects = [found[c.effect] for c in rows if c.effect in found][::-1]
         hover = "%{y}: %{x:.2f} %<extra></extra>"
-        traces = [draw.bars(names, limits, draw.PALE, name="smallest share that would be found", hovertemplate=hover)]
+        traces = [web.bars(names, limits, web.PALE, name="smallest share that would be found", hovertemplate=hover)]
         if effects:
             up = [100 * (e.share_high - e.energy_share) if math.isfinite(e.share_high) else 0.0 for e in effects]
             down = [100 * (e.energy_share - e.share_low) if math.isfinite(e.share_low) else 0.0 for e in effects]
-            points: draw.Trace = {
+            points: web.Trace = {
                 "type": "scatter",
                 "mode": "markers",
                 "x": [100 * e.energy_share for e in effects],
                 "y": [web.label(e.effect) for e in effects],
                 "name": "found, with 95 % interval",
-                "marker": {"color": draw.MEASURED, "size": 10},
-                "error_x": {
-                    "type": "data",
-                    "symmetric": False,
-                    "array": up,
-                    "arrayminus": down,
-                    "color": draw.MEASURED,
-                },
+                "marker": {"color": web.MEASURED, "size": 10},
+                "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": web.MEASURED},
                 "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>",
             }
             traces.append(points)
         layout = {
-            "xaxis": draw.axis("share of the battery's energy, %", rangemode="tozero"),
+            "xaxis": web.axis("share of the battery's energy, %", rangemode="tozero"),
             "hovermode": "closest",
-            "margin": {"l": 220, **draw.MARGIN},
+            "margin": {"l": 220, **web.MARGIN},
         }
         caption = (
             "Effects that were found, and how large the others could be without being seen (80 % power); those of "
@@ -193,24 +186,24 @@ def _series(battery: BatteryDiagnosis, several: bool) -> list[web.Block]:
     points = TOTAL_POINTS // (len(shown) * (2 if several else 1))
     more = len(battery.series) > len(shown)
     note = f"The first {len(shown)} of {len(battery.series)} runs." if more else ""
-    return draw.one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
+    return web.one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
 
 
 def _run_chart(run: RunSeries, points: int) -> web.Chart:
     left = run.measured_w - run.fitted_w
-    pick = draw.shared_indices([run.measured_w, left], max(points // 4, 200))
+    pick = web.shared_indices([run.measured_w, left], max(points // 4, 200))
     time_s = run.time_s[pick]
     lines = [
-        ("measured", run.measured_w, draw.MEASURED),
-        ("model of the robot file", run.nominal_w, draw.MODEL),
-        ("with what was found", run.fitted_w, draw.FITTED),
+        ("measured", run.measured_w, web.MEASURED),
+        ("model of the robot file", run.nominal_w, web.MODEL),
+        ("with what was found", run.fitted_w, web.FITTED),
     ]
-    traces = [draw.line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
-    before = draw.line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", draw.MODEL, 1, yaxis="y2")
+    traces = [web.line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
+    before = web.line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", web.MODEL, 1, yaxis="y2")
     traces.append({**before, "visible": "legendonly"})
-    traces.append(draw.line(time_s, left[pick], "left: with what was found", draw.RESIDUAL, 1, yaxis="y2"))
+    traces.append(web.line(time_s, left[pick], "left: with what was found", web.RESIDUAL, 1, yaxis="y2"))
     caption = f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned."
-    return draw.over_time(traces, "left, W", caption, 520)
+    return web.over_time(traces, "left, W", caption, 520)
 
 
 def _next(battery: BatteryDiagnosis) -> list[web.Block]:
@@ -276,10 +269,10 @@ def _alike(battery: BatteryDiagnosis) -> web.Chart:
     within: dict[str, Any] = {"textposition": "inside", "insidetextanchor": "middle", "textangle": 0}
     within |= {"text": [f"{value:.2f}" for value in r], "hovertemplate": "%{hovertext}<extra></extra>"}
     within["hovertext"] = [f"{found[int(j)]} and {others[int(i)]}: r = {value:.2f}" for i, j, value in alike]
-    heat = draw.tiles(x, y, r, size=1.0, limit=1.0, colours=("#d55e00", "#f4f6f8", "#0072b2"), **within)
+    heat = web.tiles(x, y, r, size=1.0, limit=1.0, colours=("#d55e00", "#f4f6f8", "#0072b2"), **within)
 
-    def named(names: list[str]) -> draw.Trace:
-        return draw.axis("", tickvals=list(range(len(names))), ticktext=list(map(web.label, names)), showgrid=False)
+    def named(names: list[str]) -> web.Trace:
+        return web.axis("", tickvals=list(range(len(names))), ticktext=list(map(web.label, names)), showgrid=False)
 
     layout = {
         "xaxis": named(others),
@@ -332,12 +325,12 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     ):
         fitted, added, later = web.COLOURS[1], web.COLOURS[4], web.COLOURS[2]
         colours = [fitted, *([added] * (len(values) > 2)), *([later] * (len(values) - 3)), "#aab2bd"]
-        steps: draw.Trace = {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False}
+        steps: web.Trace = {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False}
         steps |= {"text": [web.format_cell(v, 3) for v in values], "textposition": "outside"}
         steps["hovertemplate"] = "%{x}: %{y:.3g}<extra></extra>"
-        noise = draw.line(names, [level] * len(names), "noise floor", hoverinfo="skip")
-        noise["line"] = {"color": draw.RESIDUAL, "dash": "dot"}
-        layout = {"yaxis": draw.axis(title, rangemode="tozero"), "hovermode": "closest"}
+        noise = web.line(names, [level] * len(names), "noise floor", hoverinfo="skip")
+        noise["line"] = {"color": web.RESIDUAL, "dash": "dot"}
+        layout = {"yaxis": web.axis(title, rangemode="tozero"), "hovermode": "closest"}
         floors = "the noise floor is what a true model would still show"
         caption = f"The {title.split(',')[0]} on {which}, step by step; {floors}."
         charts.append(web.Chart([steps, noise], layout, caption, 360))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from missionsim.engine.outcome import J_PER_WH, RunResult
-from missionsim.report.traces import literal, new_figure, save_figure
+from missionsim.report.page import literal, new_figure, save_figure
 from missionsim.uncertainty.store import BlockStore
 
 if TYPE_CHECKING:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 
 from missionsim.planner.answer import Answer
-from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Verdict, page
+from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Trace, Verdict, axis, page
 from missionsim.report.site_map import map_of_plan, site_chart
-from missionsim.report.traces import Trace, axis
 
 
 def plan_page(answer: Answer, *, footer: str = "") -> str:

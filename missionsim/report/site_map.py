@@ -16,8 +16,7 @@ from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
 from missionsim.report.map_text import Paper
-from missionsim.report.page import Chart
-from missionsim.report.traces import new_figure, save_figure
+from missionsim.report.page import Chart, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

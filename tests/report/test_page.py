@@ -25,10 +25,11 @@ from missionsim.report.page import (
     Verdict,
     format_cell,
     label,
+    min_max_indices,
     page,
     plain,
+    shared_indices,
 )
-from missionsim.report.traces import min_max_indices, shared_indices
 from tests.compare.worlds import drive, friction_model, log_of, true_power
 from tests.report.browser import OUTSIDE, print_to_pdf, run_in_page
 
