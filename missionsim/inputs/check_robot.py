@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs.checker import Checker
-from missionsim.inputs.robot import EffectSpec, RobotSpec, SchemeSpec
+from missionsim.inputs.robot import RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Where
 from missionsim.inputs.units import same_dimension
 from missionsim.inputs.values import Parameter
@@ -186,25 +186,21 @@ def _effects(check: Checker, robot: RobotSpec) -> None:
             check.add((*where, "effect"), message, "no body.mass", allowed, warning=True)
         if effect.power is not None:
             check.formulas({(*where, "power"): effect.power}, effect.parameters, effect.parameters)
-        else:
-            _library_effect(check, where, effect)
+            continue
+        from missionsim.effects.library import effect_ids, get_effect
 
-
-def _library_effect(check: Checker, where: Where, effect: EffectSpec) -> None:
-    from missionsim.effects.library import effect_ids, get_effect
-
-    identifier = str(effect.effect)
-    family, colon, of = identifier.partition(":")
-    try:
-        surfaces = tuple(name[2:] for name in effect.parameters if name.startswith("k_"))
-        found = get_effect(identifier, surfaces)
-    except InputError:
-        ids = effect_ids()
-        hint = did_you_mean(family, [item.partition(":")[0] for item in ids])
-        message = f"no effect '{identifier}' in the library"
-        check.add((*where, "effect"), message, f"'{identifier}'", ", ".join(ids), hint)
-        return
-    if colon and family.startswith("component_"):
-        check.known((*where, "effect"), of, check.document.names("components"), "component")
-    if not effect.candidate:
-        _parameters(check, where, effect.parameters, found.parameters, f"effect '{identifier}'")
+        identifier = str(effect.effect)
+        family, colon, of = identifier.partition(":")
+        try:
+            surfaces = tuple(name[2:] for name in effect.parameters if name.startswith("k_"))
+            found = get_effect(identifier, surfaces)
+        except InputError:
+            ids = effect_ids()
+            hint = did_you_mean(family, [item.partition(":")[0] for item in ids])
+            message = f"no effect '{identifier}' in the library"
+            check.add((*where, "effect"), message, f"'{identifier}'", ", ".join(ids), hint)
+            continue
+        if colon and family.startswith("component_"):
+            check.known((*where, "effect"), of, robot.document.names("components"), "component")
+        if not effect.candidate:
+            _parameters(check, where, effect.parameters, found.parameters, f"effect '{identifier}'")

@@ -137,19 +137,17 @@ def for_folder(text: str, folder: str | os.PathLike[str]) -> str:
 
 def _updated(old: Any, new: Mapping[str, Any], parameter: Parameter | None) -> Any:
     """What stands at a number's place after an update."""
+    former = old.get("value") if isinstance(old, dict) else old
+    told = {key: _written(value, former, parameter) if key in _NUMBERS else value for key, value in new.items()}
+    if not isinstance(old, dict):
+        return told["value"] if set(told) == {"value"} else _node(told, flow=True)
     spread = {"sd", "low", "high", "distribution"}
-    if isinstance(old, dict):
-        result = old
-        if "value" in new:
-            outdated = {"status", "source", "note"} | (set() if spread & set(new) else spread)
-            for key in outdated & set(result) - set(new):
-                del result[key]
-        former = old.get("value")
-        for key, value in new.items():
-            result[key] = _written(value, former, parameter) if key in _NUMBERS else value
-        return result
-    told = {key: _written(value, old, parameter) if key in _NUMBERS else value for key, value in new.items()}
-    return told["value"] if set(told) == {"value"} else _node(told, flow=True)
+    outdated = {"status", "source", "note"} | (set() if spread & set(new) else spread)
+    for key in outdated & set(old) - set(new) if "value" in new else ():
+        del old[key]
+    for key, value in told.items():
+        old[key] = value
+    return old
 
 
 def _written(value: Any, old: Any, parameter: Parameter | None) -> Any:

@@ -8,7 +8,6 @@ from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.inputs.base import FileModel, Model, Name, Text, alone
-from missionsim.inputs.tree import dotted
 from missionsim.inputs.values import AnyNumber, Parameter, Period, QuantityOf
 from missionsim.logs.raw import MEASURED, measured_batteries
 
@@ -139,9 +138,8 @@ class MapSpec(FileModel):
         found: list[Fault] = []
         document = self.document
         for path, text in self.formulas():
-            line, column = document.position(path)
             try:
-                compile_expression(text, file=document.file, line=line, column=column, path=dotted(path))
+                compile_expression(text, **document.place(path)._asdict())
             except InputError as error:
                 found.extend(error.faults)
         # a column whose mapping is at fault is missing from `columns`, but not from the file

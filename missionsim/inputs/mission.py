@@ -147,7 +147,7 @@ class MissionSpec(RobotAtSite):
     def _remembered(self) -> dict[Any, Any]:
         return {}
 
-    def remembered(self, what: str, make: Callable[[], T]) -> T:
+    def remembered(self, what: object, make: Callable[[], T]) -> T:
         """What follows from this mission and its robot alone, made once: a mission is often run again."""
         of, found = self._remembered.get(what, (None, None))
         if of is not self.robot:
@@ -157,13 +157,13 @@ class MissionSpec(RobotAtSite):
 
     def equipment(self, segment: SegmentSpec) -> tuple[str, str, tuple[tuple[str, int], ...]]:
         """Control scheme, navigation (empty where none) and sensors of a segment; remembered for the next run."""
-        found: tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]] | None = self._remembered.get(id(segment))
-        if found is None:
+
+        def make() -> tuple[SegmentSpec, tuple[str, str, tuple[tuple[str, int], ...]]]:
             sensors = tuple(sorted(self.sensors_of(segment).items()))
             # with the segment, which lives on with it: another one must not come to have its id
-            made = (self.scheme_of(segment) or "", self.navigation_of(segment) or "", sensors)
-            found = self._remembered[id(segment)] = (segment, made)
-        return found[1]
+            return segment, (self.scheme_of(segment) or "", self.navigation_of(segment) or "", sensors)
+
+        return self.remembered(id(segment), make)[1]
 
     def scheme_of(self, segment: SegmentSpec) -> str | None:
         """Control scheme of a segment: its own; for an inspection the robot's image-analysis scheme; the default's for

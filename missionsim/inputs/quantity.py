@@ -203,9 +203,9 @@ class QuantityOf:
         before = len(issues)
         given: dict[str, float | None] = dict.fromkeys(("value", "low", "high", "sd"))
         for key in given:
+            if key not in raw or (key == "sd" and len(issues) > before):
+                continue
             with issues.at(key):
-                if key not in raw or (key == "sd" and len(issues) > before):
-                    continue
                 found = ""
                 if key != "sd":
                     given[key], found = self._number(raw[key], texts["unit"])

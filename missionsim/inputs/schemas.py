@@ -101,7 +101,10 @@ def add_descriptions(name: str, definition: Schema, definitions: dict[str, Schem
         if "description" not in node or "$ref" in node:
             words = key_words()
             told = words.get(f"{name}.{key}") or words.get(key) or words.get(key.rstrip("s")) or key.replace("_", " ")
-            unit = _unit_of(node, definitions)
+            targets = (str(part.get("$ref", "")).rpartition("/")[2] for part in (node, *node.get("anyOf", ())))
+            options = (option for target in targets for option in definitions.get(target, {}).get("anyOf", ()))
+            plain = (str(option.get("description", "")) for option in options)
+            unit = next((text[3:] for text in plain if text.startswith("in ") and text not in ("in SI", "in 1")), "")
             node["description"] = told + (f" [{unit}]" if unit else "")
         if key not in definition.get("required", ()) and "default" not in node and "const" not in node:
             node["default"] = [] if node.get("type") == "array" else {} if node.get("type") == "object" else None
@@ -112,16 +115,6 @@ def key_words() -> dict[str, str]:
     """What each key means, and ``Model.key`` where it means another thing in one place."""
     words: dict[str, str] = read_document(Path(__file__).with_name("schema_words.yaml")).data
     return words
-
-
-def _unit_of(node: Schema, definitions: dict[str, Schema]) -> str:
-    for part in (node, *node.get("anyOf", ())):
-        target = definitions.get(str(part.get("$ref", "")).rpartition("/")[2], {})
-        for option in target.get("anyOf", ()):
-            plain = str(option.get("description", ""))
-            if plain.startswith("in ") and plain not in ("in SI", "in 1"):
-                return plain.removeprefix("in ")
-    return ""
 
 
 def add_models(definitions: dict[str, Schema]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetJsonSchemaHandler, WrapValidator
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic_core import core_schema
 
 from missionsim.errors import did_you_mean
 from missionsim.inputs import values
@@ -163,28 +163,25 @@ SEGMENT_KINDS = ("drive", "arc", "turn", "move", "inspect", "wait", "dock", "rep
 
 def _unwrap(raw: Any, handler: Any) -> Any:
     """``{drive: {...}}`` to ``{kind: drive, ...}``."""
+    if isinstance(raw, Model):
+        return raw
+    allowed = "one of " + ", ".join(SEGMENT_KINDS)
     if not isinstance(raw, dict):
-        if isinstance(raw, Model):
-            return raw
-        raise _segment_fault("a segment is a mapping with its kind", as_written(raw), "")
+        raise wrong("a segment is a mapping with its kind", as_written(raw), allowed)
     keys = list(raw)
-    if len(keys) != 1 or keys[0] not in SEGMENT_KINDS:
-        unknown = [key for key in keys if key not in SEGMENT_KINDS]
-        hint = did_you_mean(str(unknown[0]), SEGMENT_KINDS) if unknown else ""
-        if len(keys) == 1:
-            raise _segment_fault(f"unknown kind of segment '{keys[0]}'", str(keys[0]), hint, keys[0])
-        raise _segment_fault("a segment has one key, its kind", ", ".join(map(str, keys[:6])) or "no key", hint)
-    kind = keys[0]
-    body = raw[kind]
+    unknown = [key for key in keys if key not in SEGMENT_KINDS]
+    hint = did_you_mean(str(unknown[0]), SEGMENT_KINDS) if unknown else ""
+    if len(keys) != 1:
+        got = ", ".join(map(str, keys[:6])) or "no key"
+        raise wrong("a segment has one key, its kind", got, allowed, hint=hint)
+    kind, body = keys[0], raw[keys[0]]
+    if unknown:
+        raise wrong(f"unknown kind of segment '{kind}'", str(kind), allowed, kind, hint=hint)
     if not isinstance(body, dict):
-        raise _segment_fault(f"a {kind} segment is a mapping", as_written(body), "", kind)
+        raise wrong(f"a {kind} segment is a mapping", as_written(body), allowed, kind)
     if "kind" in body:
-        raise _segment_fault("unknown key 'kind'", "kind", "", kind, "kind")
+        raise wrong("unknown key 'kind'", "kind", allowed, kind, "kind")
     return handler({"kind": kind, **body})
-
-
-def _segment_fault(message: str, got: str, hint: str, *at: str) -> PydanticCustomError:
-    return wrong(message, got, "one of " + ", ".join(SEGMENT_KINDS), *at, hint=hint)
 
 
 class _SegmentSchema:

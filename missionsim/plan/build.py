@@ -26,10 +26,10 @@ from missionsim.inputs.segments import (
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
-from missionsim.plan.kinematics import group, slow_components
+from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings, remainder, sign
 from missionsim.plan.routes import Way, along, routes_of
-from missionsim.plan.steady import steady_power_w
+from missionsim.plan.steady import closure, steady_power_w
 
 MOST_SEGMENTS = 1_000_000
 Route = tuple[str, str, tuple[int, ...]]
@@ -128,7 +128,10 @@ class _Builder(Asked):
         start = self.place
         for segment in self.mission.segments:
             self._segment(segment)
-        slow = slow_components(self.robot)
+        # components that are not on at once: they, or something they require, take time to start
+        table = self.robot.components
+        starting = {name for name, c in table.items() if c.startup is not None and c.startup.duration.value > 0.0}
+        slow = {name for name in table if not starting.isdisjoint(closure(table, [(name, 1)]))} if starting else set()
 
         def breaks(before: Leg, after: Leg) -> bool:
             if after.gate is not None and after.gate.first:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
 from missionsim.plan.legs import Leg, Limits, Odd, Phase, Step, sign
 
@@ -233,15 +232,3 @@ def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -
     if isinstance(bend, float) and bend == 0.0:
         return Phase(duration_s, index, speed, rate, moving=True)
     return Phase(duration_s, index, speed, rate, yaw_rad_s=speed * bend, yaw_rad_s2=rate * bend, moving=True)
-
-
-def slow_components(robot: RobotSpec) -> frozenset[str]:
-    """Components that are not on at once: they, or something they require, take time to start."""
-    table = robot.components
-
-    def slow(name: str) -> bool:
-        spec = table[name]
-        startup = spec.startup is not None and spec.startup.duration.value > 0.0
-        return startup or any(slow(required) for required in spec.requires)
-
-    return frozenset(name for name in table if slow(name))
