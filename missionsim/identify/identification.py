@@ -21,7 +21,7 @@ from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import Remains, demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
-from missionsim.identify.simpler import factor_told, instead_of_effects, level_difference, parameters_instead
+from missionsim.identify.simpler import instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
 
@@ -147,7 +147,12 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
         named = [name for name in chosen if name not in unnamed]
         factor = instead_of_effects(model) if named else None
         if factor is not None:
-            structures, unnamed = (factor_told(factor, named), *structures), tuple(sorted(chosen))
+            words = (
+                f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as "
+                f"much as {' and '.join(named)} would: check the units of the log, the meter and the robot file"
+            )
+            structures = (Structure("", 0.0, 0.0, abs(factor - 1.0), words), *structures)
+            unnamed = tuple(sorted(chosen))
         elif (level := level_difference(model)) is not None:
             averages = (level,)
     # after the refit of shapes, so that rivals meet the effect at its best

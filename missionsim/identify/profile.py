@@ -85,7 +85,7 @@ def _refit(choice: Choice, column: int, candidate: Candidate, limited: bool) -> 
     squares = None if model.squares is None else LeastSquares.of(design)
     # clock and noise stay at those of the grid column, which lies near
     refitted = Model(source, model.chosen, model.clock, design, model.noise, squares)
-    evidence = weighed(refitted) if squares is None else dict(choice.evidence)
+    evidence = weighed(refitted, model.chosen) if squares is None else dict(choice.evidence)
     limits: dict[str, float] = {}
     if limited:
         limits = _limits(cost, found.x, float(found.fun), (low, high), outer, names)

@@ -6,6 +6,7 @@ model once the search has ended, against what remains in the residual; a demoted
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from missionsim.identify.evidence import (
@@ -62,15 +63,10 @@ def last_gates(model: Model, evidence: Evidence) -> dict[str, bool]:
     return {"runs": power, "energy": energy_p > WORSE_ENERGY_LEVEL}
 
 
-def weigh(model: Model, column: int) -> Evidence:
-    """Evidence for a column in a model, with the answer of every gate."""
-    evidence = evidence_of(model, column)
-    return replace(evidence, passed=gates(model, evidence))
-
-
-def weighed(model: Model) -> dict[int, Evidence]:
-    """Evidence for every column in a model."""
-    return {column: weigh(model, column) for column in model.chosen}
+def weighed(model: Model, columns: Sequence[int]) -> dict[int, Evidence]:
+    """Evidence for columns in a model, with the answer of every gate."""
+    evidence = {column: evidence_of(model, column) for column in columns}
+    return {column: replace(one, passed=gates(model, one)) for column, one in evidence.items()}
 
 
 def refusal(evidence: Evidence) -> str:

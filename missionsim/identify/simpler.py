@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from missionsim.identify.design import Source
@@ -127,12 +125,3 @@ def level_difference(model: Model) -> Structure | None:
         "units of the log and the robot file, or look for a load that is always on"
     )
     return Structure("", 0.0, 0.0, float(np.mean(np.abs(errors))), words)
-
-
-def factor_told(factor: float, effects: Sequence[str]) -> Structure:
-    """What is said of a factor in the place of effects."""
-    words = (
-        f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much as "
-        f"{' and '.join(effects)} would: check the units of the log, the meter and the robot file"
-    )
-    return Structure("", 0.0, 0.0, abs(factor - 1.0), words)

@@ -15,7 +15,7 @@ from missionsim.identify.model import Model, fit_model, log_likelihood, predicti
 from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import low_frequency_noise
-from missionsim.identify.rules import last_gates, weigh, weighed
+from missionsim.identify.rules import last_gates, weighed
 from missionsim.identify.settings import (
     CLOSE,
     FRESH_NATS,
@@ -72,11 +72,11 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
     options: list[tuple[float, Choice]] = []
     for trial in _trials(model, refused):
         fitted = fit_model(source, trial, model, thorough=False)
-        evidence = weighed(fitted)
+        evidence = weighed(fitted, fitted.chosen)
         if {gate for e in evidence.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
             # at the clock and noise of the model without it, most of it may have been taken for either
             fitted = fit_model(source, trial)
-            evidence = weighed(fitted)
+            evidence = weighed(fitted, fitted.chosen)
         if all(e.accepted for e in evidence.values()):
             value = log_likelihood(fitted) - float(np.sum(owed[list(trial)]))
             options.append((value, Choice(fitted, found.empty, evidence)))
@@ -86,7 +86,7 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
         # the noise without an effect had swallowed it, and a fit that begins there may stay there
         fresh = fit_model(source, best.model.chosen)
         if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
-            best = replace(best, model=fresh, evidence=weighed(fresh))
+            best = replace(best, model=fresh, evidence=weighed(fresh, fresh.chosen))
         # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
         # a constant friction over; and the effect itself is asked again there
         new = set(best.model.chosen) - set(model.chosen)
@@ -110,7 +110,7 @@ def confirmed(choice: Choice) -> Choice:
         rest = tuple(k for k in choice.model.chosen if k != weakest)
         model = fit_model(choice.model.source, rest, choice.model, thorough=False)
         refused = {**choice.refused, weakest: choice.evidence[weakest]}
-        choice = replace(choice, model=model, evidence=weighed(model), refused=refused)
+        choice = replace(choice, model=model, evidence=weighed(model, model.chosen), refused=refused)
     return choice
 
 
@@ -179,7 +179,7 @@ def forced(source: Source, effects: Sequence[str]) -> Choice:
             unsigned = [0.5 * rest[0, 1 + k] ** 2 / max(rest[1 + k, 1 + k], 1e-300) for k in own]
             new = [own[int(np.argmax(unsigned))]]
         model = fit_model(source, (*model.chosen, *new), model, thorough=False)
-    return Choice(model, empty, weighed(model))
+    return Choice(model, empty, weighed(model, model.chosen))
 
 
 def with_levels(choice: Choice) -> Choice:
@@ -212,7 +212,7 @@ def with_levels(choice: Choice) -> Choice:
             own = [k for k in every if k not in gone]
             model = fit_model(model.source, (*rest, *own), model, thorough=False)
         evidence = {k: replace(evidence_of(model, k), p_robust=p_value, p_runs=p_value) for k in own}
-        evidence |= {k: weigh(model, k) for k in rest}
+        evidence |= weighed(model, rest)
         choice = replace(choice, model=model, evidence=evidence)
     return choice
 
@@ -226,7 +226,7 @@ def with_what_runs_differ_by(choice: Choice) -> Choice:
         if int(k) in model.chosen or not cause_is_constant(model, int(k)):
             continue
         fresh = fit_model(model.source, (*model.chosen, int(k)))
-        evidence = weighed(fresh)
+        evidence = weighed(fresh, fresh.chosen)
         if all(e.accepted for e in evidence.values()):
             options.append((log_likelihood(fresh), replace(choice, model=fresh, evidence=evidence)))
     return max(options, key=lambda option: option[0])[1] if options else choice

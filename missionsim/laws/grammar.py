@@ -139,17 +139,9 @@ class Grammar:
         """Quantities that a law is about; a memory of a quantity counts as the quantity."""
         return tuple(dict.fromkeys(self.factors[i].variable.partition(" ")[0] for i in form))
 
-    def rank(self, form: Sequence[int]) -> int:
-        """How far a law is from a product of plain quantities."""
-        return sum(self.factors[i].rank for i in form)
-
     def memory(self, form: Sequence[int]) -> bool:
         """Whether it reads what was before: a first-order lag."""
         return any("lag(" in self.factors[i].text for i in form)
-
-    def gives_back(self, form: Sequence[int]) -> bool:
-        """Whether its coefficient may be negative."""
-        return any(self.factors[i].gives_back for i in form)
 
 
 _SAME = frozenset({"abs", "max", "min", "maximum", "minimum", "clip", "lag"})

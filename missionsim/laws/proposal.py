@@ -70,22 +70,15 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
     skip = {*repeated(ground.covariates), *_own_meter(ground)}
     grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
     plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
-    return late if late is not None and _stands(late, plain) else plain
-
-
-def _stands(late: Proposed, plain: Proposed | None) -> bool:
-    """Whether a law with a lag is far better than the best without one, or than none: whatever is slow looks like one.
-
-    How left-out runs are predicted rests on the noise that a fit ends with, so that laws are compared at the same.
-    """
-    if plain is None:
-        return late.proposal.far_better
-    laws = (late, plain)
-    found, other = (
+    if late is None or plain is None:
+        return late if late is not None and late.proposal.far_better else plain
+    # whatever is slow looks like a lag, so that it must be far better; how left-out runs are predicted rests on the
+    # noise that a fit ends with, so that both are compared at the same
+    error, other = (
         left_out(one.ground.at_noise(one.ground.extended(one.fitted.watts), one.ground.usual())).with_law
-        for one in laws
+        for one in (late, plain)
     )
-    return found < FAR_BETTER * other
+    return late if error < FAR_BETTER * other else plain
 
 
 def _own_meter(ground: Ground) -> set[str]:
@@ -198,7 +191,9 @@ def _set(near: Sequence[Scored], grammar: Grammar) -> tuple[list[Scored], list[S
     def kinds(one: Scored) -> list[str]:
         return sorted(grammar.factors[i].kind or grammar.factors[i].text for i in one.form)
 
-    first = min(as_good, key=lambda one: (len(variables(one)), len(one.form), grammar.rank(one.form), -one.score))
+    # a plain quantity before one that is bent
+    rank = {one.form: sum(grammar.factors[i].rank for i in one.form) for one in as_good}
+    first = min(as_good, key=lambda one: (len(variables(one)), len(one.form), rank[one.form], -one.score))
     kept, beside = [first], []
     for one in close:
         if one is first or any(variables(k) < variables(one) for k in kept):

@@ -335,6 +335,6 @@ class Search:
         found = [
             Scored(form, float(g), float(s), float(g) - self.penalty(form))
             for form, g, s in zip(forms, gain, share, strict=True)
-            if s > 0.0 or self.grammar.gives_back(form)
+            if s > 0.0 or any(self.grammar.factors[i].gives_back for i in form)
         ]
         return sorted(found, key=lambda one: -one.score)

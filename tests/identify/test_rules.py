@@ -379,6 +379,6 @@ def test_of_effects_that_fail_the_weakest_goes_first(monkeypatch: pytest.MonkeyP
     model = SimpleNamespace(chosen=(0, 1), source=None)
     monkeypatch.setattr(stepwise, "last_gates", lambda *_: {})
     monkeypatch.setattr(stepwise, "fit_model", lambda _, rest, *__, **___: SimpleNamespace(chosen=rest, source=None))
-    monkeypatch.setattr(stepwise, "weighed", lambda left: {k: weigh(40.0, True) for k in left.chosen})
+    monkeypatch.setattr(stepwise, "weighed", lambda _, left: {k: weigh(40.0, True) for k in left})
     both = Choice(model, model, {0: weigh(50.0, False), 1: weigh(9.0, False)})
     assert stepwise.confirmed(both).model.chosen == (0,)
