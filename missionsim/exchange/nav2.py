@@ -109,30 +109,20 @@ def _edge(edge: Value, site: Site, names: dict[object, str]) -> None:
     _left(edge, site, "an edge", _SPEEDS)
     if edge.has("cost"):
         site.tell("left out: cost of an edge, which ours replaces (missionsim export nav2)", edge.line)
-    speed = _speed(edge, site)
-    site.edge(names[ends[0]], names[ends[1]], edge.line, name=str(number), max_speed=speed)
-
-
-def _speed(edge: Value, site: Site) -> float | None:
-    metadata = edge.get("metadata")
-    if metadata is None or not isinstance(metadata.data, dict):
-        return None
-    if found := metadata.get("abs_speed_limit"):
-        return found.number(0.0, 60.0) or None  # 0 is no limit, as for speed_limit
-    found = metadata.get("speed_limit")
-    share = None if found is None else found.number(0.0, 100.0)
-    if found is None or not share:
-        return None
-    if share > 1.0:  # AdjustSpeedLimit publishes per cent, DistanceScorer divides by a share
-        site.tell("speed_limit above 1 is per cent of the top speed", found.line)
-        share /= 100.0
-    if site.options.robot is None:
-        site.tell(
-            "speed_limit is a share of the top speed: written for a top speed of 1 m/s; --robot tells", found.line
-        )
-        return share
-    site.tell(f"speed_limit is a share of the top speed of {site.options.robot.name}", found.line)
-    return share * site.options.robot.body.max_speed.value
+    metadata, speed = edge.get("metadata"), None
+    if metadata and (found := metadata.get("abs_speed_limit")):
+        speed = found.number(0.0, 60.0)  # 0 is no limit, as for speed_limit
+    elif metadata and (found := metadata.get("speed_limit")) and (speed := found.number(0.0, 100.0)):
+        if speed > 1.0:  # AdjustSpeedLimit publishes per cent, DistanceScorer divides by a share
+            site.tell("speed_limit above 1 is per cent of the top speed", found.line)
+            speed /= 100.0
+        if robot := site.options.robot:
+            site.tell(f"speed_limit is a share of the top speed of {robot.name}", found.line)
+            speed *= robot.body.max_speed.value
+        else:
+            unknown = "written for a top speed of 1 m/s; --robot tells"
+            site.tell(f"speed_limit is a share of the top speed: {unknown}", found.line)
+    site.edge(names[ends[0]], names[ends[1]], edge.line, name=str(number), max_speed=speed or None)
 
 
 def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> None:

@@ -56,14 +56,12 @@ class Order:
         """Load carried in a state."""
         if not self._changes:
             return self.load_kg
-        load = self.load_kg + sum(self.visits[i].load_kg for i in self.done(state))
-        return max(load, 0.0) if load > -1e-9 else load
-
-    def done(self, state: int) -> list[int]:
-        """The visits done in a state; in a given order also those left out."""
         if self.sequence is not None:
-            return sorted(self.sequence[:state])
-        return [i for i in range(len(self.visits)) if state >> i & 1]
+            done = sorted(self.sequence[:state])  # also those left out
+        else:
+            done = [i for i in range(len(self.visits)) if state >> i & 1]
+        load = self.load_kg + sum(self.visits[i].load_kg for i in done)
+        return max(load, 0.0) if load > -1e-9 else load
 
     def after(self, state: int) -> list[tuple[int, int]]:
         """Visits that may come next and the state after each."""

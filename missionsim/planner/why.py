@@ -171,14 +171,18 @@ def _lighter(site: Site) -> Iterator[dict[str, Any]]:
     more = sorted({-load for load in loads.tolist() if load < 0.0})
     for extra in more:
         given = Parameter(order.load_kg + extra, unit="kg")
-        other = task.model_copy(update={"defaults": task.defaults.model_copy(update={"payload": given})})
-        if solve_site(make_site(other)).feasible:
+        if _changed(task, defaults=task.defaults.model_copy(update={"payload": given})).feasible:
             text = (
                 f"{given.value:g} kg on board at the start in place of {order.load_kg:g} kg (defaults: {{payload: …}})"
             )
             relative = extra / max(float(np.abs(loads).max()), 1e-9)
             yield _change("defaults.payload", given.value, "kg", text, relative)
             break
+
+
+def _changed(task: TaskSpec, **changes: Any) -> Answer:
+    """The plan of a task with something else in it."""
+    return solve_site(make_site(task.model_copy(update=changes)))
 
 
 def _one_less(site: Site) -> Iterator[dict[str, Any]]:
@@ -189,7 +193,7 @@ def _one_less(site: Site) -> Iterator[dict[str, Any]]:
         for other in (*task.visits[:i], *task.visits[i + 1 :]):
             kept = {key: tuple(n for n in getattr(other, key) if n != visit.label) for key in ("before", "after")}
             rest.append(other.model_copy(update=kept))
-        if solve_site(make_site(task.model_copy(update={"visits": tuple(rest)}))).feasible:
+        if _changed(task, visits=tuple(rest)).feasible:
             yield _change(f"visits.{i}", None, "", f"without the visit '{visit.label}'", 1.0 / count)
 
 
@@ -226,7 +230,7 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
             continue
         free = visit.model_copy(update={"window": visit.window.model_copy(update={"until": None})})
         visits = (*task.visits[:i], free, *task.visits[i + 1 :])
-        answer = solve_site(make_site(task.model_copy(update={"visits": visits})))
+        answer = _changed(task, visits=visits)
         if answer.feasible:
             number = next((k for k, leg in enumerate(answer.legs) if leg.visit == i), len(answer.legs))
             begins, until = sum(leg.duration_s for leg in answer.legs[:number]), visit.window.until.value
