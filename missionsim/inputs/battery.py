@@ -59,9 +59,8 @@ class EquivalentCircuit(Model):
         if any(later < earlier for earlier, later in pairwise(voltages)):
             raise wrong("voltages must not fall with charge", voltages, "rising voltages", "open_circuit_voltage")
         if self.cut_off is not None and self.cut_off.value >= voltages[-1]:
-            raise wrong(
-                "cut-off above the full battery's voltage", self.cut_off.value, f"below {voltages[-1]:g} V", "cut_off"
-            )
+            allowed = f"below {voltages[-1]:g} V"
+            raise wrong("cut-off above the full battery's voltage", self.cut_off.value, allowed, "cut_off")
 
 
 BatteryModel = Annotated[
@@ -124,9 +123,8 @@ class BatterySpec(Model):
 
     def _check(self) -> None:
         if self.nominal_voltage is None and self.capacity.unit == "C":
-            raise wrong(
-                "a capacity in Ah needs nominal_voltage", "no nominal_voltage", "nominal_voltage: 14.8 V", "capacity"
-            )
+            message, allowed = "a capacity in Ah needs nominal_voltage", "nominal_voltage: 14.8 V"
+            raise wrong(message, "no nominal_voltage", allowed, "capacity")
 
     @property
     def capacity_j(self) -> float:

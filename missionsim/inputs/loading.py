@@ -63,9 +63,9 @@ def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
     return _finished(name, RobotSpec, document=parse_document(text, name=name))
 
 
-def mission_from_text(text: str, robot: RobotSpec, name: str = "mission") -> MissionSpec:
+def mission_from_text(text: str, robot: RobotSpec) -> MissionSpec:
     """A mission of a loaded robot from the text of its file; see `robot_from_text`."""
-    return _finished(name, MissionSpec, (), robot, parse_document(text, name=name))
+    return _finished("mission", MissionSpec, (), robot, parse_document(text, name="mission"))
 
 
 def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:

@@ -25,12 +25,8 @@ class WindowSpec(Model):
 
     def _check(self) -> None:
         if self.until is not None and self.until.value < self.from_.value:
-            raise wrong(
-                "a window that ends before it begins",
-                f"{self.until.value:g} s",
-                f"{self.from_.value:g} s or more",
-                "until",
-            )
+            got, allowed = f"{self.until.value:g} s", f"{self.from_.value:g} s or more"
+            raise wrong("a window that ends before it begins", got, allowed, "until")
 
 
 class SchemeChoice(Model):
@@ -91,14 +87,8 @@ class SpeedRange(Model):
 
     def _check(self) -> None:
         if self.to.value <= self.from_.value:
-            raise wrong(
-                "a range of speeds must rise", f"{self.to.value:g} m/s", f"above {self.from_.value:g} m/s", "to"
-            )
-
-    def speeds(self) -> tuple[float, ...]:
-        """The speeds, m/s."""
-        low, high, last = self.from_.value, self.to.value, self.steps - 1
-        return tuple(round(low + (high - low) * i / last, 12) for i in range(self.steps))
+            got, allowed = f"{self.to.value:g} m/s", f"above {self.from_.value:g} m/s"
+            raise wrong("a range of speeds must rise", got, allowed, "to")
 
 
 SpeedList = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
@@ -111,19 +101,18 @@ Speeds = Annotated[
 
 def _word_or(*words: str) -> tuple[Any, ...]:
     """One of a few words, or else what they stand in for: a list where one thing is given alone."""
-
-    def tag(raw: Any) -> str:
-        return "word" if isinstance(raw, str) and raw in words else "other"
-
-    return Discriminator(tag), BeforeValidator(lambda raw: raw if raw in words else as_list(raw))
+    tag = Discriminator(lambda raw: "word" if isinstance(raw, str) and raw in words else "other")
+    return tag, BeforeValidator(lambda raw: raw if raw in words else as_list(raw))
 
 
 def speeds_of(given: tuple[Parameter, ...] | SpeedRange | None) -> tuple[float, ...] | None:
     """Speeds of a list or a range, rising, m/s; None where none are given."""
     if given is None:
         return None
-    values = given.speeds() if isinstance(given, SpeedRange) else tuple(speed.value for speed in given)
-    return tuple(sorted(set(values)))
+    if isinstance(given, SpeedRange):
+        low, high, last = given.from_.value, given.to.value, given.steps - 1
+        return tuple(sorted({round(low + (high - low) * i / last, 12) for i in range(given.steps)}))
+    return tuple(sorted({speed.value for speed in given}))
 
 
 class ChooseSpec(Model):

@@ -174,10 +174,10 @@ def as_written(value: object) -> str:
     return text if len(text) <= 80 else text[:76] + "…" + text[-1]
 
 
-def read_document(path: str | Path, *, name: str | None = None) -> Document:
-    """Read one YAML file. `path`: the file. `name`: how messages call it; default the path. Raises InputError: missing,
-    too large, not UTF-8, not YAML, duplicate keys, tags, too deep or too many values."""
-    shown = name or str(path)
+def read_document(path: str | Path) -> Document:
+    """Read one YAML file. Raises InputError: missing, too large, not UTF-8, not YAML, duplicate keys, tags, too deep or
+    too many values."""
+    shown = str(path)
     raw = read_bytes(path, shown, MAX_BYTES)
     document = parse_document(decoded(raw, "utf-8-sig", shown), name=shown)
     document.sha256 = hashlib.sha256(raw).hexdigest()

@@ -105,8 +105,8 @@ def test_not_utf8_is_located(tmp_path) -> None:
     path = tmp_path / "latin.yaml"
     path.write_bytes(b"a: 1\nb: caf\xe9\n")
     with pytest.raises(InputError) as caught:
-        read_document(path, name="latin.yaml")
-    assert str(caught.value).splitlines()[0] == "latin.yaml:2:7: error: not UTF-8 text"
+        read_document(path)
+    assert str(caught.value).splitlines()[0] == f"{path}:2:7: error: not UTF-8 text"
 
 
 def test_byte_order_mark_is_read_over(tmp_path) -> None:
