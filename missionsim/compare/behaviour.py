@@ -212,38 +212,33 @@ def split_behaviour(
     codes, schemes = motion.scheme_codes(timeline.columns, len(timeline), ignore=nameless)
     plan = motion.planned(timeline, by_scheme=not nameless)
     stages = Stages(model, timeline, batteries)
-    gaps = []
+    count, gaps = len(driven), []
     for name in dict.fromkeys([*plan, *names]):
-        inside = codes == schemes.index(name) if name in plan else np.zeros(len(timeline), dtype=bool)
-        runs = [run.get(name, motion.Motion()) for run in driven]
-        gaps.append(_scheme_gap(name, stages, inside, plan.get(name, motion.Motion()), runs))
+        members = codes == schemes.index(name) if name in plan else np.zeros(len(timeline), dtype=bool)
+        runs, wanted = [run.get(name, motion.Motion()) for run in driven], plan.get(name, motion.Motion())
+        done = motion.Motion()
+        for run in runs:
+            done.add(run)
+        stretched = stages.stretched(members, done.distance_m / count)
+        tracked = stretched.at_speed(members, ratio(done.distance_m, done.driving_s))
+        steps = [stage.energy(members) for stage in (stages, stretched, tracked)]
+        steps.append(tracked.standing_for(members, done.standing_s / count))
+        wh: dict[str, dict[str, float]] = {}
+        for battery in batteries:
+            at = [count * step[battery] for step in steps] + [done.energy_j.get(battery, 0.0)]
+            wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
+        drives = wanted.distance_m > 0.0
+        gaps.append(
+            SchemeGap(
+                scheme=name,
+                path_stretch=motion.mean_ratio(motion.stretch(wanted, runs)) if drives else None,
+                speed_tracking=motion.mean_ratio(motion.tracking(wanted, runs)) if drives else None,
+                dwell_s=done.standing_s - count * wanted.standing_s,
+                planned_m=count * wanted.distance_m,
+                driven_m=done.distance_m,
+                planned_s=count * wanted.seconds,
+                driven_s=done.seconds,
+                wh=wh,
+            )
+        )
     return tuple(gaps)
-
-
-def _scheme_gap(
-    name: str, stages: Stages, members: NDArray[np.bool_], plan: motion.Motion, driven: Sequence[motion.Motion]
-) -> SchemeGap:
-    done, runs = motion.Motion(), len(driven)
-    for run in driven:
-        done.add(run)
-    way, speed = done.distance_m / runs, ratio(done.distance_m, done.driving_s)
-    stretched = stages.stretched(members, way)
-    tracked = stretched.at_speed(members, speed)
-    steps = [stage.energy(members) for stage in (stages, stretched, tracked)]
-    steps.append(tracked.standing_for(members, done.standing_s / runs))
-    wh: dict[str, dict[str, float]] = {}
-    for battery in stages.batteries:
-        at = [runs * step[battery] for step in steps] + [done.energy_j.get(battery, 0.0)]
-        wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
-    drives = plan.distance_m > 0.0
-    return SchemeGap(
-        scheme=name,
-        path_stretch=motion.mean_ratio(motion.stretch(plan, driven)) if drives else None,
-        speed_tracking=motion.mean_ratio(motion.tracking(plan, driven)) if drives else None,
-        dwell_s=done.standing_s - runs * plan.standing_s,
-        planned_m=runs * plan.distance_m,
-        driven_m=done.distance_m,
-        planned_s=runs * plan.seconds,
-        driven_s=done.seconds,
-        wh=wh,
-    )

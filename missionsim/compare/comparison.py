@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import MissionGap
-from missionsim.compare.where import Dependence, Series, Where, in_words, ranked
+from missionsim.compare.where import Dependence, Series, Where, in_words
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of, sha256
 from missionsim.physics import Array
@@ -94,7 +94,10 @@ class BatteryComparison(RunError):
     @property
     def where(self) -> list[Where]:
         """Values of covariates, those that explain most of the error first."""
-        return ranked(self.dependences)
+        return sorted(
+            (where for dependence in self.dependences for where in dependence.values),
+            key=lambda where: (-where.explains, -where.share_of_squared_error, where.by, where.value),
+        )
 
     @property
     def gap_wh(self) -> dict[str, float | None]:

@@ -254,14 +254,6 @@ def dependences(sums: Accumulator, battery: str) -> list[Dependence]:
     return sorted(found, key=lambda dependence: (-dependence.explained, dependence.by))
 
 
-def ranked(found: Sequence[Dependence]) -> list[Where]:
-    """All values of all covariates, those that explain most of the squared error first."""
-    return sorted(
-        (where for dependence in found for where in dependence.values),
-        key=lambda where: (-where.explains, -where.share_of_squared_error, where.by, where.value),
-    )
-
-
 def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]) -> Dependence:
     seconds = sum(one.seconds for one in bins)
     gap = sum(one.gap_j for one in bins)
