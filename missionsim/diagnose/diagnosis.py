@@ -96,27 +96,19 @@ def diagnose_files(
 
     spec = load_robot(robot)
     timeline = None
-    segments: tuple[str, ...] = ()
     if mission is not None:
         from missionsim.engine.simulate import simulate
         from missionsim.inputs.loading import load_mission
 
-        run = simulate(load_mission(mission, robot=spec))
-        timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
+        timeline = simulate(load_mission(mission, robot=spec)).timeline
     subject = Subject.of(spec)
     split, tables, left_out = read_split(spec, logs, holdout)
     if on_left_out is not None:
         on_left_out(left_out)
     if on_remark is not None:
         on_remark(unchanging(tables))
-    return diagnose(
-        subject,
-        split,
-        timeline=timeline,
-        segments=segments,
-        battery=battery,
-        settings=Settings(alpha=alpha, align=align),
-    )
+    settings = Settings(alpha=alpha, align=align)
+    return diagnose(subject, split, timeline=timeline, battery=battery, settings=settings)
 
 
 def diagnose(
@@ -125,7 +117,6 @@ def diagnose(
     *,
     holdout: str | Sequence[str | Path] | None = None,
     timeline: Timeline | None = None,
-    segments: Sequence[str] = (),
     battery: str | None = None,
     settings: Settings | None = None,
 ) -> Diagnosis:
@@ -140,8 +131,6 @@ def diagnose(
         As for `diagnose_files`; of a split nothing else is held out.
     timeline : Timeline, optional
         The simulated mission.
-    segments : sequence of str
-        Names of its segments.
     settings : Settings, optional
     """
     settings = settings or Settings()
@@ -149,17 +138,16 @@ def diagnose(
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
     if battery is not None and battery not in measured:
         raise InputError.single(f"no log measures the battery '{battery}'", got=battery, allowed=", ".join(measured))
-    wanted = [battery] if battery is not None else measured
     done: dict[str, BatteryDiagnosis] = {}
     skipped: dict[str, InputError] = {}
-    for name in wanted:
+    for name in measured if battery is None else [battery]:
         if name not in subject.model.batteries:
             skipped[name] = InputError.single(
                 f"the robot has no battery '{name}'", got=name, allowed=", ".join(subject.model.batteries)
             )
             continue
         try:
-            done[name] = diagnose_battery(subject, split, name, timeline, settings, segments)
+            done[name] = diagnose_battery(subject, split, name, timeline, settings)
         except InputError as error:
             skipped[name] = error
     if not done:
@@ -173,7 +161,6 @@ def diagnose_battery(
     battery: str,
     timeline: Timeline | None,
     settings: Settings,
-    segments: Sequence[str] = (),
     clock: Clock | None = None,
     seen: Examined | None = None,
     laws: bool = True,
@@ -181,7 +168,7 @@ def diagnose_battery(
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
 
-    `subject`, `split`, `battery`, `timeline`, `settings`, `segments`: as for `diagnose`. `clock`: at which held-out
+    `subject`, `split`, `battery`, `timeline`, `settings`: as for `diagnose`. `clock`: at which held-out
     errors and series are told, so that several models can be held against each other; by default the one that is found.
     `seen`: what `examine` gave. `laws`: whether to look for a law that the library does not hold. `tried`: effects for
     which no law has to wait, since they came to nothing beside the others or are not wanted.

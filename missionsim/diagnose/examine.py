@@ -14,6 +14,7 @@ from missionsim.diagnose.split import Split, lacking, stretches, with_same_cause
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.fit.final import of_formula
 from missionsim.fit.provenance import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.identification import Identification, identify, refutes
@@ -91,11 +92,6 @@ def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Run
     """
     source = subject.sources.get(parameter.source, parameter.source)
     return NO_PRIOR_SD if fitted_to(source, logs) else sd_on_other_logs(parameter.prior_sd, source)
-
-
-def of_formula(parameter: ModelParameter) -> bool:
-    """Whether a parameter is one of several in the formula of motion, and no power of its own."""
-    return parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
 
 
 def _priors_of(subject: Subject, features: Features, logs: Sequence[Run]) -> dict[str, float]:

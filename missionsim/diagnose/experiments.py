@@ -51,15 +51,14 @@ class Bench:
 
     def imagined(self, manoeuvre: Manoeuvre) -> Gram:
         """Gram matrices of the logs with one more run, the manoeuvre; no measurement is needed for it."""
-        run = imagined_run(self.power, self.features, manoeuvre, self.site)
-        layout_of = self.model.source
-        source = make_source([run], self.features.candidates, self.features.prior_sd, self.settings, like=layout_of)
-        design = source.design(replace(self.model.clock, run_delay_s=(0.0,)))
-        rows = len(design.y)
+        model, features = self.model, self.features
+        run = imagined_run(self.power, features, manoeuvre, self.site)
+        source = make_source([run], features.candidates, features.prior_sd, self.settings, like=model.source)
+        design = source.design(replace(model.clock, run_delay_s=(0.0,)))
         level = np.maximum(design.base, 0.05 * design.layout.mean_power_w) / design.layout.mean_power_w
-        noise = replace(self.model.noise, weight=np.ones(rows), scale=level**self.model.noise.exponent)
+        noise = replace(model.noise, weight=np.ones(len(design.y)), scale=level**model.noise.exponent)
         own = make_gram(design, noise)
-        return Gram(np.concatenate([self.model.gram.per_run, own.per_run]), self.model.gram.prior_precision)
+        return Gram(np.concatenate([model.gram.per_run, own.per_run]), model.gram.prior_precision)
 
 
 def imagined_run(power: PowerModel, features: Features, manoeuvre: Manoeuvre, site: Site) -> RunData:

@@ -60,11 +60,8 @@ class Manoeuvre:
         """Columns that it sets to more than one value, motion aside."""
         names = {name for part in self.parts for name in part.set}
         varied = {name for name in names if len({part.set.get(name) for part in self.parts}) > 1}
-        if any(part.slope_rad is not None for part in self.parts):
-            varied.add("slope_rad")
-        if any(len(part.yaw_rates_rad_s) > 0 for part in self.parts):
-            varied.add("yaw_rate_rad_s")
-        return frozenset(varied)
+        varied |= {"slope_rad" for part in self.parts if part.slope_rad is not None}
+        return frozenset(varied | {"yaw_rate_rad_s" for part in self.parts if part.yaw_rates_rad_s})
 
     @property
     def duration_s(self) -> float:

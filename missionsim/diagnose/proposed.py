@@ -44,22 +44,17 @@ def proposed_laws(
     `covariates`: of the fitted runs, at the raw rate; `models`: models fitted to these runs, for the errors on others;
     `heldout`: runs that nothing was fitted to.
     """
-    made = propose(found, covariates)
-    if made is None:
+    if (made := propose(found, covariates)) is None:
         return ()
     if models is None or not heldout:
         return (made.proposal,)
     named = [e for e in found.effects if e.effect not in made.proposal.instead_of]
     law = as_finding(made.proposal)
-    fits = [models.fit(named), with_law(models, law.effect, law.effect).fit([*named, law])]
-    errors = [models.errors(fit.model, heldout) for fit in fits]
-    return (
-        replace(
-            made.proposal,
-            heldout_rmse_w=(errors[0].power_rmse_w, errors[1].power_rmse_w),
-            heldout_energy_pct=(errors[0].run_energy_error_pct, errors[1].run_energy_error_pct),
-        ),
-    )
+    fits = (models.fit(named), with_law(models, law.effect, law.effect).fit([*named, law]))
+    before, after = (models.errors(fit.model, heldout) for fit in fits)
+    energy_pct = (before.run_energy_error_pct, after.run_energy_error_pct)
+    rmse_w = (before.power_rmse_w, after.power_rmse_w)
+    return (replace(made.proposal, heldout_rmse_w=rmse_w, heldout_energy_pct=energy_pct),)
 
 
 def with_law(models: Models, name: str, formula: str) -> Models:

@@ -12,7 +12,7 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.model import PowerModel
+from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
@@ -179,6 +179,11 @@ def _fit(
     return FinalFit(model, nought | told, alike), system
 
 
+def of_formula(parameter: ModelParameter) -> bool:
+    """Whether a parameter is one of several in the formula of motion, and no power of its own."""
+    return parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
+
+
 def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str, float]]:
     """Lowest and highest value of each parameter, of the file and of physics."""
     low: dict[str, float] = {"regeneration": 0.0}
@@ -189,8 +194,7 @@ def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str
             spec, short = specs.get(name), term.name_of(name)
             low[short] = max(-np.inf if spec is None else spec.low, min(parameter.low, parameter.value))
             high[short] = min(np.inf if spec is None else spec.high, max(parameter.high, parameter.value))
-            formula = parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
-            if term.base and not formula and parameter.value > 0.0:
+            if term.base and not of_formula(parameter) and parameter.value > 0.0:
                 # what is drawn at rest or by a component may be unknown, not negative
                 low[short] = max(low[short], 0.0)
             if term.base and parameter.value > 0.0 and low[short] == 0.0:
