@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correla
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.run import SPEEDS, Run, divided, larger
-
-if TYPE_CHECKING:
-    from missionsim.logs.raw import Remark
 
 LEVEL = 6.0
 """Measured over modelled energy, against the median of all runs, from which on a run has another unit (assumed)."""
@@ -246,29 +242,30 @@ MOST = 4000
 def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Run], list[str]]:
     """Runs to learn from, and what was left out and why, one line a run. Raises InputError: where no run is left; with
     the faults that `validate` tells."""
-    kept: list[Run] = []
-    told: list[str] = []
-    refused = [remark.column for run in runs for remark in _errors(run) if remark.kind in ("range", "unit")]
+    errors = [[remark for remark in run.remarks if remark.severity == "error"] for run in runs]
+    refused = [remark.column for own in errors for remark in own if remark.kind in ("range", "unit")]
     # a unit that is wrong in most runs is wrong in those too whose values happen to be small
     wrong = {name for name in refused if len(runs) > 2 and refused.count(name) >= 0.5 * len(runs)}
-    good = [run for run in runs if not _errors(run) and not wrong & {*run.columns}]
-    still = [run for run in good if "speed_m_s" not in run.columns]
-    if still and len(still) < 0.5 * len(good):
-        told += [f"{run.run}: it has no speed_m_s, which most runs have: it cannot be driven" for run in still]
-        good = [run for run in good if "speed_m_s" in run.columns]
-    twins = copies(good)
-    for run in runs:
-        if errors := _errors(run):
-            told.append(f"{run.run}: {'; '.join(str(remark) for remark in errors)}")
+    told: list[str] = []
+    good: list[Run] = []
+    for run, own in zip(runs, errors, strict=True):
+        if own:
+            told.append(f"{run.run}: {'; '.join(map(str, own))}")
         elif columns := wrong & {*run.columns}:
             told.append(f"{run.run}: {', '.join(sorted(columns))} is in another unit in most of these runs: here too?")
-    for i, run in enumerate(good):
-        if i in twins:
-            told.append(f"{run.run}: a copy of {good[twins[i]].run} but for noise; one measurement counts once")
         else:
-            kept.append(run)
+            good.append(run)
+    still = [run for run in good if "speed_m_s" not in run.columns]
+    if still and len(still) < 0.5 * len(good):
+        why = "it has no speed_m_s, which most runs have: it cannot be driven"
+        told = [*(f"{run.run}: {why}" for run in still), *told]
+        good = [run for run in good if "speed_m_s" in run.columns]
+    twins = copies(good)
+    for i, of in sorted(twins.items()):
+        told.append(f"{good[i].run}: a copy of {good[of].run} but for noise; one measurement counts once")
+    kept = [run for i, run in enumerate(good) if i not in twins]
     if runs and not kept:
-        raise InputError([remark.fault(run.source) for run in runs for remark in _errors(run)])
+        raise InputError([remark.fault(run.source) for run, own in zip(runs, errors, strict=True) for remark in own])
     if model is not None:
         odd = odd_runs(kept, model)
         told = [*(f"{name}: {why}" for name, why in odd.items()), *told]
@@ -302,10 +299,6 @@ def admit_to_test(
         raise InputError(Fault(run.source, 0, 0, wrong[run.run]) for run in odd)
     kept = [replace(run, run=run.run.removeprefix("held-out ")) for run in named if run.run not in wrong]
     return kept, [*(f"{run.run}: {wrong[run.run]}" for run in odd), *told]
-
-
-def _errors(run: Run) -> list[Remark]:
-    return [remark for remark in run.remarks if remark.severity == "error"]
 
 
 def unchanging(runs: Sequence[Run]) -> list[str]:

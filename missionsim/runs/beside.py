@@ -276,27 +276,24 @@ def offsets(others: Others) -> dict[str, str]:
     mean = float(np.mean([abs(one.measured_w[battery].mean()) for one in runs]))
     why = "an offset of its meter, or something on that is not logged?"
     found: dict[str, str] = {}
+    # the fewer of two groups of levels that lie together, each far from the other
+    known_levels = np.sort(beside[np.isfinite(beside[:, 1]), 1])
+    widest = int(np.argmax(np.diff(known_levels)))
+    low, high = known_levels[: widest + 1], known_levels[widest + 1 :]
+    wide = max(float(np.ptp(low)), float(np.ptp(high)))
+    two = len(low) != len(high) and high[0] - low[-1] > APART * wide
+    few = (low if len(low) < len(high) else high) if two else np.zeros(0)
     for i, (one, apart) in enumerate(zip(runs, beside, strict=True)):
         if (
             abs(apart[1]) > max(OFFSET * mean, _spread(one, gaps[i]))
             and 0.5 < (apart[2] if np.isnan(apart[0]) else apart[0]) / apart[1] < 2.0
-            and (bool((np.abs(apart) > SCATTER * np.array(scatter)).any()) or _few(beside[:, 1], i))
+            and (bool((np.abs(apart) > SCATTER * np.array(scatter)).any()) or apart[1] in few)
             and not _explained(one, runs, battery, float(apart[1]))
         ):
             found[one.run.run] = (
                 f"power_{battery}_w lies {apart[1]:+.2g} W beside the other runs, at rest and in motion: {why}"
             )
     return found
-
-
-def _few(levels: Array, number: int) -> bool:
-    """Whether a level is among the fewer that lie together, far from all others that lie together."""
-    known = np.sort(levels[np.isfinite(levels)])
-    widest = int(np.argmax(np.diff(known)))
-    low, high = known[: widest + 1], known[widest + 1 :]
-    fewer = low if len(low) < len(high) else high
-    wide = max(float(np.ptp(low)), float(np.ptp(high)))
-    return bool(len(low) != len(high) and known[widest + 1] - known[widest] > APART * wide and levels[number] in fewer)
 
 
 def _levels(driven: Driven, gap: Array) -> dict[tuple[object, ...], tuple[float, int]]:
