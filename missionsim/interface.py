@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from missionsim.diagnose.split import Split
     from missionsim.engine.outcome import RunResult
     from missionsim.exchange.site import Site, SiteOptions
-    from missionsim.fit.refit import Refit
+    from missionsim.fit.calibrate import Calibration
     from missionsim.identify.findings import Diagnosis
     from missionsim.inputs.robot import RobotSpec
     from missionsim.planner.answer import Answer as PlanAnswer
@@ -286,10 +286,10 @@ def improve(
     return Answer(done, line, lambda: steps, lambda: data, ("step", "power_rmse_w"), done.text)
 
 
-def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Refit]:
+def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Calibration]:
     """Refit a robot's parameters; see ``missionsim calibrate --robot``."""
     from missionsim.diagnose.split import read_runs
-    from missionsim.fit.refit import refit_robot
+    from missionsim.fit.calibrate import refit_robot
     from missionsim.inputs.loading import load_robot
     from missionsim.inputs.power import build_power_model
 

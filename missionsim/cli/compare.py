@@ -14,9 +14,8 @@ from missionsim.compare.comparison import thousandfold
 from missionsim.errors import InputError
 from missionsim.exchange.mcap import write_comparison
 from missionsim.files import write_text
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
 from missionsim.fit.parameters import ModelFit
-from missionsim.fit.refit import refit_robot
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import describe, read_logs

@@ -20,10 +20,9 @@ from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import measured_note
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, Term, TermKey
+from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
 from missionsim.fit.final import final_fit
-from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
-from missionsim.fit.refit import refit_robot
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Estimate, Finding
 from missionsim.identify.settings import Settings

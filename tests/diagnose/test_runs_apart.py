@@ -12,7 +12,7 @@ from missionsim.diagnose import Subject
 from missionsim.diagnose import diagnose as diagnose_runs
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import Split
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.interface import diagnose

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from missionsim.errors import InputError
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
 from missionsim.fit.parameters import fit_parameters
 from missionsim.fit.provenance import data_tag, fitted_to, log_hash
-from missionsim.fit.refit import refit_robot
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model

@@ -7,7 +7,7 @@ import pytest
 
 from missionsim.compare import compare
 from missionsim.fit import prepare as prepared
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.power import build_power_model
 from tests.diagnose.logs import drive

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import read_logs

@@ -19,7 +19,7 @@ import numpy as np
 
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import Split, choose_split
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map

@@ -9,7 +9,7 @@ import pytest
 
 from missionsim.diagnose.improve import Improved, improve
 from missionsim.diagnose.split import Split, choose_split
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map, robot_from_text

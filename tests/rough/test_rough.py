@@ -9,7 +9,7 @@ import pytest
 from missionsim.diagnose import diagnose_files
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import choose_split
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
 from missionsim.logs import read_logs
 from tests.hidden_effects.study import ALL_CASES

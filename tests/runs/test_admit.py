@@ -12,7 +12,7 @@ import pytest
 import missionsim
 from missionsim.cli.app import run_command
 from missionsim.errors import InputError
-from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import Remark, read_logs
