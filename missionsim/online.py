@@ -279,7 +279,14 @@ class OnlinePredictor:
         total = float(self._behind[-1])
         rest = total - behind
         home_j = float(self.expected.return_j[-1])
-        factor, factor_sd = self._correction(behind)
+        factor, factor_sd = 1.0, self.model_sd
+        if behind > 0.0:
+            # posterior of the factor between drawn and expected energy: normal prior about 1, normal likelihood
+            elapsed = max((self._time or 0.0) - self._first, 1e-9)
+            blocks = max(elapsed / (2.0 * self.correlation_s), 1.0)
+            ratio_sd = math.hypot(self.meter_sd, self.noise_sd / math.sqrt(blocks))
+            weight = self.model_sd**2 / (self.model_sd**2 + ratio_sd**2)
+            factor, factor_sd = 1.0 + weight * (self._drawn / behind - 1.0), math.sqrt(weight) * ratio_sd
         left = self.available_j - self._drawn
         left_sd = self.meter_sd * self._drawn
         finish_sd, return_sd = (self._spread(amount, factor_sd) for amount in (rest, home_now))
@@ -306,17 +313,6 @@ class OnlinePredictor:
             wait,
             p_finish,
         )
-
-    def _correction(self, behind_j: float) -> tuple[float, float]:
-        """Posterior of the factor between drawn and expected energy (normal prior about 1, normal likelihood)."""
-        if behind_j <= 0.0:
-            return 1.0, self.model_sd
-        elapsed = max((self._time or 0.0) - self._first, 1e-9)
-        blocks = max(elapsed / (2.0 * self.correlation_s), 1.0)
-        ratio_sd = math.hypot(self.meter_sd, self.noise_sd / math.sqrt(blocks))
-        weight = self.model_sd**2 / (self.model_sd**2 + ratio_sd**2)
-        factor = 1.0 + weight * (self._drawn / behind_j - 1.0)
-        return factor, math.sqrt(weight) * ratio_sd
 
     def _spread(self, energy_j: float, factor_sd: float) -> float:
         """Standard deviation of an energy still to come: the factor's, and the noise of the power about its mean."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
+from missionsim.compare import BatteryComparison, Comparison, Dependence
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
 from missionsim.report import page as web
@@ -156,27 +156,26 @@ def _power(one: BatteryComparison, batteries: int) -> list[web.Block]:
     points = max(200, TOTAL_POINTS // (6 * batteries * len(shown)))
     more = len(shown) < len(one.runs)
     note = f"The {MOST_RUNS} runs with the largest power error of {len(one.runs)}." if more else ""
-    return web.one_of("Run", [(run.run, [_power_chart(run, points)]) for run in shown], note)
-
-
-def _power_chart(run: RunComparison, points: int) -> web.Chart:
-    series = run.series
-    measured, model = series.power_w("measured"), series.power_w("model")
-    kept = web.shared_indices([measured, model, model - measured], points)
-    time_s = series.middle_s[kept]
-    traces: list[web.Trace] = []
-    if series.rows > 1:
-        low, high = (series.columns[f"measured_{end}_w"][kept] for end in ("low", "high"))
-        traces += web.band(time_s, low, high, "range of the measured power", 0.15)
-    for name, values, colour, on in (
-        ("measured", measured, web.MEASURED, "y"),
-        ("model", model, web.MODEL, "y"),
-        ("model minus measured", model - measured, web.RESIDUAL, "y2"),
-    ):
-        traces.append(web.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
-    joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
-    caption = f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
-    return web.over_time(traces, "error, W", caption)
+    charts: list[tuple[str, list[web.Block]]] = []
+    for run in shown:
+        series = run.series
+        measured, model = series.power_w("measured"), series.power_w("model")
+        kept = web.shared_indices([measured, model, model - measured], points)
+        time_s = series.middle_s[kept]
+        traces: list[web.Trace] = []
+        if series.rows > 1:
+            low, high = (series.columns[f"measured_{end}_w"][kept] for end in ("low", "high"))
+            traces += web.band(time_s, low, high, "range of the measured power", 0.15)
+        for name, values, colour, on in (
+            ("measured", measured, web.MEASURED, "y"),
+            ("model", model, web.MODEL, "y"),
+            ("model minus measured", model - measured, web.RESIDUAL, "y2"),
+        ):
+            traces.append(web.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
+        joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
+        caption = f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
+        charts.append((run.run, [web.over_time(traces, "error, W", caption)]))
+    return web.one_of("Run", charts, note)
 
 
 def _progress(one: BatteryComparison) -> list[web.Block]:
