@@ -19,7 +19,7 @@ from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData
 from missionsim.logs.readers import Options, Reader, reader_of
-from missionsim.logs.times import is_stamp
+from missionsim.logs.times import epoch_of, is_stamp
 from missionsim.physics import Array
 
 WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words.yaml")).data
@@ -56,6 +56,8 @@ def words_of(name: str) -> tuple[str, str]:
     text = name.strip()
     if text in UNITS and text.lower() != text:
         return "", text  # a column that is called V, A or W
+    if re.match(r"(power )?(VDD|POM|VIN)_|Power TOT\Z", text, re.IGNORECASE) and not re.search(r"[\[(]|_m?W\Z", text):
+        return f"power {text.split(' ')[-1].lower().replace('_', ' ')}", "mW"  # the rails of a Jetson
     if match := re.match(
         r"(ms|us|µs|ns|millis|micros|nanos|secs?)(?:[_ ](?=today|since|time)|\Z)", text, re.IGNORECASE
     ):
@@ -326,7 +328,7 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     usual = float(np.median(step[step > 0]))
     score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
-    epoch = float(np.median(known)) > 1e8
+    epoch = epoch_of(known) is not None
     in_days = (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5) and known[-1] - known[0] < 3
     if not unit and in_days and 0 < np.median(step) < 1e-3:
         return Guess("time", field.name, "d", score, "days, as spreadsheets count them", "likely")

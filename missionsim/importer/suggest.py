@@ -186,6 +186,8 @@ def _time(draft: Draft, path: Path) -> None:
     """Column or columns of the time of a table, and the times themselves."""
     found = sorted(draft.best("time"), key=lambda guess: _distinct(draft.fields[guess.field].values) < 0.3)
     texts = [guess for guess in found if isinstance(draft.fields[guess.field].values, Labels)]
+    if texts and not re.search(r"\d{4}", draft.fields[texts[0].field].range()):  # an epoch says more than a time of day
+        found.sort(key=lambda guess: "an epoch" not in guess.why or guess.score < 1.2)
     raw = RawTable(str(path), {one.name: one.values for one in draft.fields.values()})
     if found and found[0] not in texts:
         guess = found[0]

@@ -72,7 +72,9 @@ def _moving(draft: Draft, name: str, alias: str) -> str:
 def _speed(draft: Draft) -> str:
     """The forward speed; the reference or formula of it, empty where there is none."""
     found = draft.best("speed", 0.5)
-    north = next((name for name in draft.fields if name.endswith("vehicle_local_position.vx")), None)
+    north = next((name for name in draft.fields if re.search(r"vehicle_local_position(_\d+)?\.vx\Z", name)), None)
+    if north is None and found and _goes_sideways(draft, found[0]):
+        north = found[0].field
     if north is not None:
         refs = [_moving(draft, north[:-1] + axis, f"v{axis}") for axis in "xy"]
         guess = Guess("speed", north, "", 1.0, "speed over ground; without its sign", "likely")
@@ -85,6 +87,15 @@ def _speed(draft: Draft) -> str:
     elif draft.direct:
         _from_way(draft)
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
+
+
+def _goes_sideways(draft: Draft, guess: Guess) -> bool:
+    """Whether a speed along x has one along y of its size beside it: both are over ground, not ahead."""
+    other = draft.fields.get(re.sub(r"(?<=v|_|\.)x\Z", "y", guess.field))
+    if other is None or other.name == guess.field or guess.unit or isinstance(other.values, Labels):
+        return False
+    ahead, side = (np.nan_to_num(np.abs(draft.values(name))) for name in (guess.field, other.name))
+    return float(np.quantile(side, 0.95)) > 0.2 * float(np.quantile(ahead, 0.95))
 
 
 def _speed_unit(draft: Draft, guess: Guess) -> Guess:

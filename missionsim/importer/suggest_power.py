@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 
 _PART = r"\b(max|min|requested|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b"
+_ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
 
@@ -78,6 +79,9 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
         ratio = float(np.median(watts[known] / product[known])) if known.any() else np.nan
         if 0.85 < abs(ratio) < 1.18:
             guess = replace(guess, sure="sure", why=f"{guess.why}; voltage × current agrees")
+        elif 0.2 < abs(ratio) < 1 and any(re.search(_ALTERNATING, words_of(name)[0]) for name in draft.fields):
+            told = f"{guess.why}; {abs(ratio):.2g} times voltage × current, which are alternating"
+            guess = replace(guess, sure="likely", why=told)
         elif 0.85 < abs(ratio) * 1e-3 < 1.18:
             guess = replace(guess, unit="mW", sure="likely", why="voltage × current says that it is in mW")
             watts = watts * 1e-3

@@ -77,6 +77,8 @@ def _whole_bytes(path: Path) -> tuple[int, int]:
 
 _ENDLESS = re.compile(rb"\xa3\x95\x80.[\x00-\x02]", re.DOTALL)
 """A format whose messages are shorter than their own header: pymavlink would never come to the end."""
+_TEXT = b"FMT, 128, "
+"""How a dataflash log begins that a ground station wrote as text."""
 _OTHERS = frozenset(("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG"))
 _CLOCKS = (("TimeUS", 1e-6), ("TimeMS", 1e-3))
 
@@ -96,19 +98,17 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
     # pymavlink lets struct and index errors of a broken file through
     with unreadable("the log cannot be read", file, "a whole ArduPilot log"):
         with open(path, "rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            if _ENDLESS.search(data):
+            text = data[:3] == _TEXT[:3]
+            opened = reader.DFReader_text if text else reader.DFReader_binary
+            if not text and _ENDLESS.search(data):
                 raise ValueError("a message has no length")
         with (
             contextlib.redirect_stdout(said),
             contextlib.redirect_stderr(said),
-            contextlib.closing(reader.DFReader_binary(file, zero_time_base=True)) as log,
+            contextlib.closing(opened(file, zero_time_base=True)) as log,
         ):
             held, counts = _messages(log, wanted, options.most)
-            size = log.data_len
-            tail = log.data_map[max(0, size - 4096) : size]
-            filled = len(tail) - len(tail.rstrip(tail[-1:])) if tail[-1:] in (b"\0", b"\xff") else 0  # the last page
-            used = sum(count * log.formats[kind].len for kind, count in enumerate(log.counts) if kind in log.formats)
-    lost = 0 if 0 <= size - used <= filled else abs(size - used)
+            lost, size = (0, log.data_len) if text else _lost_bytes(log)
     remarks, first = [], said.getvalue().strip().partition("\n")[0][:80]
     if lost or first:
         told = f"{lost:,} of {size:,} bytes belong to no whole message"
@@ -118,6 +118,15 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
         for name, (times, rows) in sorted(held.items())
     ]
     return Recording(topics, remarks)
+
+
+def _lost_bytes(log: Any) -> tuple[int, int]:
+    """Bytes of a binary log that belong to no message, and all of them."""
+    size = log.data_len
+    tail = log.data_map[max(0, size - 4096) : size]
+    filled = len(tail) - len(tail.rstrip(tail[-1:])) if tail[-1:] in (b"\0", b"\xff") else 0  # the last page
+    used = sum(count * log.formats[kind].len for kind, count in enumerate(log.counts) if kind in log.formats)
+    return (0 if 0 <= size - used <= filled else abs(size - used)), size
 
 
 def _messages(
@@ -147,6 +156,6 @@ def _messages(
 
 
 READERS = (
-    Reader("ardupilot", "ArduPilot log", (".bin",), (b"\xa3\x95\x80",), recording=read_ardupilot),
+    Reader("ardupilot", "ArduPilot log", (".bin",), (b"\xa3\x95\x80", _TEXT), recording=read_ardupilot),
     Reader("ulog", "ULog", (".ulg",), (b"ULog\x01",), recording=read_ulog),
 )

@@ -41,8 +41,8 @@ def read_json(path: Path, options: Options) -> Recording:
         topic = named if isinstance(named, str) else ""
         inner = next((record[key] for key in _INSIDE if isinstance(record.get(key), dict)), None)
         if inner is not None and topic:
-            times = {key: record[key] for key in record if key in _TIMES and not isinstance(record[key], (dict, list))}
-            record = {**times, **inner}
+            stamps = (key for key in record if key.lower() in _TIMES and not isinstance(record[key], (dict, list)))
+            record = {**{key: record[key] for key in stamps}, **inner}
             vehicle = "serialNumber" in record
         if not topic and vehicle and "headerId" in record:
             topic = "state"
@@ -108,7 +108,8 @@ def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
 
 
 def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Options, remarks: list[Remark]) -> Topic:
-    key = next((one for one in _TIMES if one in messages[0]), None)
+    names = {one.lower(): one for one in reversed(messages[0])}
+    key = next((names[one] for one in _TIMES if one in names), None)
     if key is None:
         allowed = ", ".join(_TIMES)
         raise InputError(Fault(str(path), 1, 1, f"the messages of {name} have no time", allowed=f"one of {allowed}"))

@@ -1,0 +1,113 @@
+"""Files as the programs of vehicles, plugs and computers write them: units, clocks and signs that their names hide."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command as main
+from missionsim.logs import LogTable, read_log
+from tests.logs import loggers
+
+T = np.arange(0.0, loggers.LENGTH_S, 0.1)
+WH = float(loggers.power(T).sum() * 0.1 / 3600)
+
+
+def write(path: Path, head: str, *columns: object) -> Path:
+    rows = zip(*columns, strict=True)
+    path.write_text(head + "\n" + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    return path
+
+
+def suggested(folder: Path, *paths: Path) -> LogTable:
+    """The log that the suggested map makes of files, as it was suggested."""
+    made, out = folder / "made.yaml", folder / "out.parquet"
+    assert main(["import", *map(str, paths), "--suggest", "--out", str(made), "--quiet"]) == 0
+    assert main(["import", *map(str, paths), "--map", str(made), "--out", str(out), "--quiet"]) == 0
+    return read_log(out)
+
+
+def test_microseconds_since_the_start_and_a_speed_that_points_north(tmp_path: Path) -> None:
+    micro, v = (51e6 + 1e6 * T).astype(int), loggers.speed(T)
+    watts = loggers.power(T)
+    battery = write(
+        tmp_path / "log_1_battery_status_0.csv", "timestamp,voltage_v,current_a", micro, 16 - watts / 99,
+        watts / (16 - watts / 99),
+    )  # fmt: skip
+    place = write(
+        tmp_path / "log_1_vehicle_local_position_0.csv", "timestamp,vx,vy,vz", micro + 400, v * 0.6, v * -0.8, 0 * v
+    )
+    log = suggested(tmp_path, battery, place)
+    assert log.time_s[-1] == pytest.approx(loggers.LENGTH_S, abs=1)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
+
+
+def test_speeds_over_ground_in_one_table(tmp_path: Path) -> None:
+    v = loggers.speed(T)
+    path = write(tmp_path / "a.csv", "t,power_w,vx,vy", T.round(1), loggers.power(T), v * 0.6, v * 0.8)
+    assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
+    path = write(tmp_path / "b.csv", "t,power_w,vx,vy", T.round(1), loggers.power(T), v, 0.01 * v)
+    assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=1e-9)
+
+
+def test_the_rails_of_a_small_computer_are_in_milliwatts(tmp_path: Path) -> None:
+    days = [f"2025-03-14 09:{21 + int(t) // 60:02d}:{int(t) % 60:02d}.{int(t * 10) % 10}" for t in T.round(1)]
+    up = [f"1:{int(t) // 60:02d}:{int(t) % 60:02d}" for t in T.round(1)]
+    total = (1000 * loggers.power(T)).round()
+    head = "time,uptime,CPU1,Power VDD_IN,Power VDD_SOC,Power TOT"
+    path = write(tmp_path / "jtop.csv", head, days, up, 10 + T % 4, total, total / 3, total)
+    log = suggested(tmp_path, path)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert np.median(np.diff(log.time_s)) == pytest.approx(0.1)  # by the date, not by whole seconds since the start
+
+
+def test_the_current_of_all_controllers(tmp_path: Path) -> None:
+    volts = 48 - loggers.power(T) / 99
+    amps = loggers.power(T) / volts
+    head = "ms_today,input_voltage,current_motor,current_in,current_in_setup,current_motor_setup,speed_meters_per_sec"
+    day = (36e6 + 1000 * T).astype(int)
+    path = write(tmp_path / "esc.csv", head, day, volts, amps, amps / 2, amps, 2 * amps, loggers.speed(T))
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_a_plug_measures_real_power(tmp_path: Path) -> None:
+    watts = loggers.power(T).round(2)
+    lines = [
+        json.dumps({
+            "Time": f"2025-03-14T09:{21 + i // 60:02d}:{i % 60:02d}",
+            "ENERGY": {"Power": w, "ApparentPower": w / 0.6, "Factor": 0.6, "Voltage": 234, "Current": w / 0.6 / 234},
+        })
+        for i, w in enumerate(watts[::10])
+    ]  # fmt: skip
+    (tmp_path / "plug.jsonl").write_text("\n".join(lines) + "\n")
+    assert suggested(tmp_path, tmp_path / "plug.jsonl").energy_wh("robot") == pytest.approx(WH, rel=0.02)
+    # the time beside the message, as a broker's log keeps it
+    parts = [json.loads(line) for line in lines]
+    told = [
+        json.dumps({"Time": one["Time"], "topic": "tele/plug", "payload": {"ENERGY": one["ENERGY"]}}) for one in parts
+    ]
+    (tmp_path / "broker.jsonl").write_text("\n".join(told) + "\n")
+    assert suggested(tmp_path, tmp_path / "broker.jsonl").energy_wh("robot") == pytest.approx(WH, rel=0.02)
+
+
+def test_a_flight_log_that_was_saved_as_text(tmp_path: Path) -> None:
+    pytest.importorskip("pymavlink")
+    rows = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 129, 23, BAT, QBff, TimeUS,Instance,Volt,Curr",
+        "FMT, 130, 22, GPS, QBIHf, TimeUS,Status,GMS,GWk,Spd",
+    ]
+    for t, v, w in zip(T, loggers.speed(T), loggers.power(T), strict=True):
+        volts = 16 - w / 99
+        rows += [
+            f"BAT, {2e6 + 1e6 * t:.0f}, 0, {volts:.4f}, {w / volts:.4f}",
+            f"GPS, {2e6 + 1e6 * t:.0f}, 3, {1e6 + 1e3 * t:.0f}, 2200, {v:.4f}",
+        ]
+    (tmp_path / "00000012.log").write_text("\n".join(rows) + "\n")
+    log = suggested(tmp_path, tmp_path / "00000012.log")
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
