@@ -255,6 +255,8 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     text = isinstance(field.values, Labels)
     words, unit = words_of(field.name)
     typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")
+    if not unit and role.name in ("left", "right") and re.search(r"\brpm\b", words):
+        unit = "rpm"
     of_type = typical != "" and field.name.endswith(typical)
     unit = typical_unit if of_type and typical_unit else unit
     dimension = UNITS[unit][0] if unit else ""
@@ -278,6 +280,8 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     numbers = np.asarray(field.values)
     values = np.abs(numbers[np.isfinite(numbers)])
     large = float(np.quantile(values, 0.95)) if len(values) else 0.0
+    if words == "" and large > role.high:
+        unit, own_dimension = "", False  # a column that is called V holds millivolts
     if role.name == "speed" and not unit and re.match(r"V(?![a-z])", field.name):
         return None  # volts
     score = 1.0 * named + 0.8 * own_dimension

@@ -72,6 +72,11 @@ def _moving(draft: Draft, name: str, alias: str) -> str:
 def _speed(draft: Draft) -> str:
     """The forward speed; the reference or formula of it, empty where there is none."""
     found = draft.best("speed", 0.5)
+    if found and found[0].field.endswith("state.speed") and f"{found[0].field[:-5]}duty_cycle" in draft.fields:
+        told = (
+            "is the electrical rpm of a motor: divide it by the pairs of poles, the gear and 60, times the wheel's way"
+        )
+        draft.remarks.append(f"'{found.pop(0).field}' {told}")
     north = next((name for name in draft.fields if re.search(r"vehicle_local_position(_\d+)?\.vx\Z", name)), None)
     if north is None and found and _goes_sideways(draft, found[0]):
         north = found[0].field

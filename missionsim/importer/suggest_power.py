@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
 
 
-_PART = r"\b(max|min|requested|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b"
+_PART = r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b"
 _ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
@@ -25,6 +25,7 @@ _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
     power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
+    power = [guess for guess in power if not _counts(draft, guess)]
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
@@ -58,11 +59,23 @@ def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:
     """A current without a unit that no battery of its voltage delivers is in milliamperes (assumed: 4 A a volt)."""
     values, level = draft.values(amps.field), float(np.nanmedian(draft.values(volts.field, volts.unit)))
     large = float(np.nanquantile(np.abs(values), 0.95)) if np.isfinite(values).any() else 0.0
+    if re.fullmatch(r"(.*\.)?current_battery", amps.field) and (values == np.round(values)).mean() > 0.99:
+        return replace(amps, unit="cA", sure="likely", why=f"{amps.why}; 10 mA, as MAVLink counts it")
     if amps.unit or "unit" in amps.why or amps.score >= 3.0 or not large > max(60.0, 4.0 * level):
         return amps
     return replace(
         amps, unit="mA", sure="likely", why=f"{amps.why}; mA, as {large:.4g} A at {level:.3g} V would be too much"
     )
+
+
+def _counts(draft: Draft, guess: Guess) -> bool:
+    """Whether what is called a power only grows, as the energy used so far does; told."""
+    values = draft.values(guess.field)
+    step = np.diff(values[np.isfinite(values)])
+    counts = len(step) > 50 and bool((step >= 0).all()) and float((step > 0).mean()) > 0.1
+    if counts:
+        draft.remarks.append(f"'{guess.field}' only grows: an energy, not a power, so it was not taken")
+    return counts
 
 
 def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
@@ -89,6 +102,8 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
             sources = _from_pair(draft, *pair)
             draft.remarks.append(f"'{guess.field}' is {ratio:.3g} times voltage × current, so it was not taken")
             return sources
+    if pair is None and any(re.search(r"\b(cadence|heart)\b", words_of(name)[0]) for name in draft.fields):
+        guess = replace(guess, sure="a guess", why=f"{guess.why}; perhaps a rider's, who has a cadence")
     sign = "-" if np.nanmean(watts) < 0 else ""
     if sign:
         guess = replace(guess, why=f"{guess.why}; negative on average, a log counts what is delivered as positive")
@@ -100,6 +115,9 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
 
 def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
     sign, why = _sign(draft, volts, amps)
+    one, alike = re.sub(r"\d", "#", amps.field), [name for name in draft.fields if name != amps.field]
+    if more := [name for name in alike if re.sub(r"\d", "#", name) == one]:
+        draft.remarks.append(f"there are more currents, which were not added: {', '.join(more)}")
     v, i = draft.ref(volts.field, "volts"), draft.ref(amps.field, "amps")
     draft.column("voltage_robot_v", v, volts)
     sure = amps.sure if not why.startswith("?") else "a guess"

@@ -111,3 +111,60 @@ def test_a_flight_log_that_was_saved_as_text(tmp_path: Path) -> None:
     log = suggested(tmp_path, tmp_path / "00000012.log")
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
     assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
+
+
+def map_of(path: Path, code: int = 0) -> str:
+    """The suggested map of a file."""
+    made = path.with_suffix(".yaml")
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == code
+    return made.read_text()
+
+
+def test_currents_in_hundredths_of_an_ampere(tmp_path: Path) -> None:
+    volts = 16 - loggers.power(T) / 99
+    amps = (100 * loggers.power(T) / volts).round().astype(int)
+    head = "time_boot_ms,voltage_battery,current_battery,groundspeed"
+    path = write(tmp_path / "a.csv", head, (1000 * T).astype(int), (1000 * volts).astype(int), amps, loggers.speed(T))
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_a_column_called_v_that_holds_millivolts(tmp_path: Path) -> None:
+    volts = 12.8 - loggers.power(T) / 999
+    path = write(
+        tmp_path / "a.csv", "timestamp,V,I", T, (1000 * volts).round(), (-1000 * loggers.power(T) / volts).round()
+    )
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_what_is_no_speed_of_the_robot(tmp_path: Path) -> None:
+    watts, v = loggers.power(T), loggers.speed(T)
+    path = write(tmp_path / "a.csv", "t,power_w,speed,speed_avg", T, watts, 36 * v, 0.3 + T / 1e3)
+    assert "speed_m_s: {value: speed, unit: km/h}" in map_of(path)
+    head = "t,state.voltage_input,state.current_input,state.speed,state.duty_cycle"
+    text = map_of(write(tmp_path / "b.csv", head, T, 16 - watts / 99, watts / 16, (4614 * v).round(), v / 9))
+    assert "'state.speed' is the electrical rpm of a motor" in text
+    assert "speed_m_s:" not in text
+    text = map_of(
+        write(tmp_path / "c.csv", "t,v_charge,v_battery,charge_current", T, v, 28 - watts / 99, T % 3 / 99), 1
+    )
+    assert "speed_m_s:" not in text  # volts and amperes of the charger
+    assert "charge_current" not in text.split("# not used")[0]
+    text = map_of(
+        write(tmp_path / "d.csv", "t,volt,curr,rpm_left,rpm_right", T, 24 - watts / 99, watts / 24, 99 * v, 98 * v), 1
+    )
+    assert "(rpm_left + rpm_right) * 0.05235987756 * wheel_radius" in text
+
+
+def test_what_is_no_power_of_the_battery(tmp_path: Path) -> None:
+    watts, v = loggers.power(T), loggers.speed(T)
+    head = "t,measured_battery,total_current,total_power_consumed"
+    path = write(tmp_path / "a.csv", head, T, 28 - watts / 99, watts / (28 - watts / 99), np.cumsum(watts) / 36e3)
+    assert "'total_power_consumed' only grows: an energy, not a power" in map_of(path)
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    path = write(tmp_path / "b.csv", "t,Speed (km/h),Rider Power (W),Motor Power (W)", T, 3.6 * v, 99 + v, watts)
+    assert "power_robot_w: POWER" in map_of(path, 1)
+    text = map_of(write(tmp_path / "c.csv", "t,speed,power,cadence", T, v, 99 + v, 80 + T % 3))
+    assert "a guess: the name; perhaps a rider's" in text
+    head = "t,CH1_Voltage_V,CH1_Current_mA,CH2_Voltage_V,CH2_Current_mA"
+    text = map_of(write(tmp_path / "d.csv", head, T, 12 - watts / 99, 83 * watts, 5 + T % 3 / 99, 300 + T % 7))
+    assert "there are more currents, which were not added: CH2_Current_mA" in text
