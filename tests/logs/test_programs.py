@@ -85,6 +85,16 @@ def test_a_plug_measures_real_power(tmp_path: Path) -> None:
     ]  # fmt: skip
     (tmp_path / "plug.jsonl").write_text("\n".join(lines) + "\n")
     assert suggested(tmp_path, tmp_path / "plug.jsonl").energy_wh("robot") == pytest.approx(WH, rel=0.02)
+    path = write(
+        tmp_path / "plug.csv",
+        "unixtime,apower,voltage,current,pf",
+        1.7e9 + T,
+        watts,
+        0 * T + 234,
+        watts / 140,
+        0.6 + 0 * T,
+    )
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
     # the time beside the message, as a broker's log keeps it
     parts = [json.loads(line) for line in lines]
     told = [
