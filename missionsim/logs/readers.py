@@ -8,6 +8,7 @@ group ``missionsim.readers``. Formats of one table (CSV, Parquet) can be logs as
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
@@ -82,6 +83,8 @@ class Reader:
     """Formats of messages."""
     loose: tuple[str, ...] = ()
     """Suffixes that other files have as well: taken by ``import`` only."""
+    like: re.Pattern[bytes] | None = None
+    """What such a file begins like, where its first bytes are not always the same."""
     folder: str = ""
     """Name of a file that makes its folder one source."""
 
@@ -139,7 +142,7 @@ def reader_of(path: Path) -> Reader:
     suffix = path.suffix.lower()
     named = None
     for reader in registry().values():
-        if reader.begins and head.startswith(reader.begins):
+        if (reader.begins and head.startswith(reader.begins)) or (reader.like and reader.like.match(head)):
             return reader
         if suffix in (*reader.suffixes, *reader.loose):
             named = reader

@@ -178,3 +178,51 @@ def test_what_is_no_power_of_the_battery(tmp_path: Path) -> None:
     head = "t,CH1_Voltage_V,CH1_Current_mA,CH2_Voltage_V,CH2_Current_mA"
     text = map_of(write(tmp_path / "d.csv", head, T, 12 - watts / 99, 83 * watts, 5 + T % 3 / 99, 300 + T % 7))
     assert "there are more currents, which were not added: CH2_Current_mA" in text
+
+
+def test_messages_with_their_topic_before_them(tmp_path: Path) -> None:
+    parts = [json.dumps({"watt": round(float(w), 3)}) for w in loggers.power(T)]
+    path = tmp_path / "sub.txt"
+    path.write_text("".join(f"{1.7e9 + t:.1f} rover/power {part}\n" for t, part in zip(T, parts, strict=True)))
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    whole = [json.dumps({"Time": 1.7e9 + t, **json.loads(part)}) for t, part in zip(T, parts, strict=True)]
+    path.write_text("".join(f"rover/power {part}\n" for part in whole))
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_what_tegrastats_prints(tmp_path: Path) -> None:
+    lines = [
+        f"RAM 1795/7859MB (lfb 385x4MB) SWAP 0/3929MB (cached 0MB) CPU [{10 + i % 20}%@960,off] GR3D_FREQ 7% "
+        f"CPU@42.5C CV0@-256C VDD_GPU_SOC 153mW/153mW VDD_IN {1000 * w:.0f}mW/3258mW VDD_CPU 69mW/69mW"
+        for i, w in enumerate(loggers.power(T)[::10])
+    ]
+    stamped = [f"03-04-2025 09:{21 + i // 60:02d}:{i % 60:02d} {line}" for i, line in enumerate(lines)]
+    (tmp_path / "a.txt").write_text("\n".join(stamped) + "\n")
+    log = suggested(tmp_path, tmp_path / "a.txt")
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.02)
+    assert log.number("cpu_load").max() == pytest.approx(0.145)
+    old = [line.replace("mW", "") for line in lines]  # older ones write no units and no times
+    (tmp_path / "b.log").write_text("\n".join(["Thu Dec 17 18:16:50 UTC 2020", *old]) + "\n")
+    text = map_of(tmp_path / "b.log", 1)
+    assert "power_robot_w: {value: VDD_IN_mW, unit: mW}" in text
+    assert "put their rate in the place of RATE" in text
+
+
+def test_what_ros_prints_of_a_topic(tmp_path: Path) -> None:
+    for second, nano in (("sec", "nanosec"), ("secs", "nsecs")):
+        parts = []
+        for t, w in zip(T, loggers.power(T), strict=True):
+            volts, whole = 25 - w / 99, int(t)
+            head = f"header:\n  stamp:\n    {second}: {1_700_000_000 + whole}\n    {nano}: {1e9 * (t - whole):.0f}\n"
+            parts.append(f"{head}  frame_id: ''\nvoltage: {volts:.4f}\ncurrent: {-w / volts:.4f}\ncharge: .nan\n---\n")
+        path = tmp_path / f"{second}.yaml"
+        path.write_text("".join(parts))
+        made, out = tmp_path / "map.yaml", tmp_path / "log.parquet"
+        assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0
+        assert main(["import", str(path), "--map", str(made), "--out", str(out), "--quiet"]) == 0
+        assert read_log(out).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+        path.write_text("".join(parts)[:-80])  # stopped in the midst of a message
+        assert main(["import", str(path), "--map", str(made), "--out", str(out), "--quiet"]) == 1
+    path.write_text("header:\n  stamp: ''\nvoltage: 3\n---\n")
+    assert main(["import", str(path), "--map", str(made), "--out", str(tmp_path / "no.parquet")]) == 2
+    assert not (tmp_path / "no.parquet").exists()

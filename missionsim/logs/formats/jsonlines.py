@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,14 @@ from missionsim.files import first_line
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, Remark, damaged, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
-from missionsim.logs.times import TimeError, read_stamps
+from missionsim.logs.times import TimeError, is_stamp, read_stamps
 
 _TIMES = ("timestamp", "time", "stamp", "ts", "t", "time_s", "datetime", "date", "@timestamp")
 _INSIDE = ("payload", "data", "msg", "message")
 """Where a broker's log keeps the message itself, beside its topic and time."""
+_BEFORE = re.compile(r"(?:([^\s{\[\",;]+)\s+)?([^\s{\[\",;]+\s+)(?=\{\")")
+"""What a client of a broker prints before a message: perhaps a time, and the topic."""
+_EPOCH = re.compile(r"\d{9,19}(\.\d+)?\Z")
 _MOST_ELEMENTS = 16
 _MOST_FAULTS = 20
 
@@ -80,14 +84,22 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
         for number, line in enumerate(handle, start=1):
             if not line.strip():
                 continue
+            before = _BEFORE.match(line)
             try:
-                record = json.loads(line)
+                record = json.loads(line[before.end(2) :] if before else line)
                 if not isinstance(record, dict):
                     raise ValueError("not an object")
             except (ValueError, RecursionError) as error:
                 if len(faults) < _MOST_FAULTS or number % 1000 == 0:
                     faults.append(Fault(str(path), number, 1, f"this line is no JSON: {error}"[:120], got=line[:60]))
                 continue
+            if before:
+                record = (
+                    {"time": before[1], **record}
+                    if is_stamp(before[1] or "") or _EPOCH.match(before[1] or "")
+                    else record
+                )
+                record = {"topic": before[2].strip(), **record}
             yield record
 
 
@@ -159,6 +171,7 @@ def _finite(value: Any) -> float:
 
 READERS = (
     Reader("jsonlines", "JSON lines file", (".jsonl", ".ndjson"), (b"{", b"[", b"\xef\xbb\xbf{"), recording=read_json),
+    Reader("broker", "file of a broker's messages", (), recording=read_json, like=re.compile(_BEFORE.pattern.encode())),
 )
 
 
