@@ -56,6 +56,8 @@ def words_of(name: str) -> tuple[str, str]:
     text = name.strip()
     if text in UNITS and text.lower() != text:
         return "", text  # a column that is called V, A or W
+    if (own := known_unit(text)) and UNITS[own][0] == "speed":
+        return "", own  # or km/h
     if re.match(r"(power )?(VDD|POM|VIN)_|Power TOT\Z", text, re.IGNORECASE) and not re.search(r"[\[(]|_m?W\Z", text):
         return f"power {text.split(' ')[-1].lower().replace('_', ' ')}", "mW"  # the rails of a Jetson
     if match := re.match(

@@ -81,7 +81,7 @@ def _speed(draft: Draft) -> str:
     if north is None and found and _goes_sideways(draft, found[0]):
         north = found[0].field
     if north is not None:
-        refs = [_moving(draft, north[:-1] + axis, f"v{axis}") for axis in "xy"]
+        refs = [_moving(draft, name, alias) for name, alias in ((north, "vx"), (_across(north), "vy"))]
         guess = Guess("speed", north, "", 1.0, "speed over ground; without its sign", "likely")
         draft.column("speed_m_s", f"hypot({', '.join(refs)})", guess)
     elif found:
@@ -94,9 +94,14 @@ def _speed(draft: Draft) -> str:
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
 
 
+def _across(name: str) -> str:
+    """Name of the speed along y beside that along x."""
+    return re.sub(r"(?<=[v_. ])x(?= ?[\[(]|\Z)", "y", name)
+
+
 def _goes_sideways(draft: Draft, guess: Guess) -> bool:
     """Whether a speed along x has one along y of its size beside it: both are over ground, not ahead."""
-    other = draft.fields.get(re.sub(r"(?<=v|_|\.)x\Z", "y", guess.field))
+    other = draft.fields.get(_across(guess.field))
     if other is None or other.name == guess.field or guess.unit or isinstance(other.values, Labels):
         return False
     ahead, side = (np.nan_to_num(np.abs(draft.values(name))) for name in (guess.field, other.name))

@@ -50,8 +50,20 @@ def test_speeds_over_ground_in_one_table(tmp_path: Path) -> None:
     v = loggers.speed(T)
     path = write(tmp_path / "a.csv", "t,power_w,vx,vy", T.round(1), loggers.power(T), v * 0.6, v * 0.8)
     assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
+    path = write(tmp_path / "c.csv", "t,power_w,v x [m/s],v y [m/s]", T.round(1), loggers.power(T), v * 0.6, v * 0.8)
+    assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
     path = write(tmp_path / "b.csv", "t,power_w,vx,vy", T.round(1), loggers.power(T), v, 0.01 * v)
     assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mph", 0.44704), ("kmh", 1 / 3.6), ("km/h", 1 / 3.6), ("kph", 1 / 3.6)])
+def test_a_column_that_is_called_as_its_unit(tmp_path: Path, unit: str, factor: float) -> None:
+    head = f"t_s,current_mA,busV,power_mW,{unit}"
+    watts, v = loggers.power(T), loggers.speed(T)
+    path = write(tmp_path / "a.csv", head, T, 1000 * watts / 12, 12 - watts / 1e4, 1000 * watts, v / factor)
+    log = suggested(tmp_path, path)
+    assert log.number("speed_m_s").max() == pytest.approx(v.max(), rel=1e-6)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
 
 
 def test_the_rails_of_a_small_computer_are_in_milliwatts(tmp_path: Path) -> None:
