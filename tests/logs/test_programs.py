@@ -187,6 +187,10 @@ def test_what_is_no_power_of_the_battery(tmp_path: Path) -> None:
     assert "power_robot_w: POWER" in map_of(path, 1)
     text = map_of(write(tmp_path / "c.csv", "t,speed,power,cadence", T, v, 99 + v, 80 + T % 3))
     assert "a guess: the name; perhaps a rider's" in text
+    head = "t,battery_current_a,battery_voltage_v,speed_mps,current_limit_a,power_limit_w"
+    text = map_of(write(tmp_path / "e.csv", head, T, watts / 24, 24 - watts / 99, v, 20 + 0 * T, 480 + 0 * T))
+    assert "current_robot_a: battery_current_a" in text  # no limits
+    assert "power_" not in text.split("# not used")[0]
     head = "t,CH1_Voltage_V,CH1_Current_mA,CH2_Voltage_V,CH2_Current_mA"
     text = map_of(write(tmp_path / "d.csv", head, T, 12 - watts / 99, 83 * watts, 5 + T % 3 / 99, 300 + T % 7))
     assert "there are more currents, which were not added: CH2_Current_mA" in text
