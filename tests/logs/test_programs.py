@@ -242,3 +242,21 @@ def test_what_ros_prints_of_a_topic(tmp_path: Path) -> None:
     path.write_text("header:\n  stamp: ''\nvoltage: 3\n---\n")
     assert main(["import", str(path), "--map", str(made), "--out", str(tmp_path / "no.parquet")]) == 2
     assert not (tmp_path / "no.parquet").exists()
+
+
+def test_rows_with_words_and_no_header(tmp_path: Path) -> None:
+    parts = [
+        f"{1_700_000_000 + 0.1 * i:.1f},base,{25 - w / 99:.4f},nan,{w / 24:.4f},True"
+        for i, w in enumerate(loggers.power(T))
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(parts) + "\n")
+    text = map_of(tmp_path / "a.csv", 1)
+    assert "table: {header: [col_1, col_2, col_3, col_4, col_5, col_6]}" in text
+    assert len(parts) == 1200
+    (tmp_path / "m.yaml").write_text(
+        "kind: map\nname: m\ntable: {header: [t, frame, volts, x, amps, on]}\n"
+        "columns: {time_s: t, voltage_robot_v: volts, current_robot_a: amps}\n"
+    )
+    out = tmp_path / "log.parquet"
+    assert main(["import", str(tmp_path / "a.csv"), "--map", str(tmp_path / "m.yaml"), "--out", str(out)]) == 0
+    assert read_log(out).rows == 1200  # the first line is a row as well

@@ -42,6 +42,14 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
 
 
+def _shape(cells: Sequence[str]) -> str:
+    """One letter a cell: ``1`` a number or a time, ``0`` nothing, ``a`` a text."""
+    return "".join(
+        "0" if cell in MISSING_WORDS else "1" if is_number(cell.replace(",", ".")) or is_stamp(cell) else "a"
+        for cell in cells
+    )
+
+
 def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int, int, str] | None:
     """Indices of the names and of the first row under them, and the delimiter, where the first line is no header.
 
@@ -50,15 +58,7 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
     """
     end = min(len(lines), start + 300)
     for mark in (delimiter,) if delimiter else (";", "\t", ",", "|"):
-        # one letter a cell: ``1`` a number or a time, ``0`` nothing, ``a`` a text
-        shapes = {
-            i: "".join(
-                "0" if cell in MISSING_WORDS else "1" if is_number(cell.replace(",", ".")) or is_stamp(cell) else "a"
-                for cell in cells_of(lines[i], mark)
-            )
-            for i in range(start, end)
-            if lines[i].strip()
-        }
+        shapes = {i: _shape(cells_of(lines[i], mark)) for i in range(start, end) if lines[i].strip()}
         if len(shapes) < 4:
             continue
         width = collections.Counter(map(len, shapes.values())).most_common(1)[0][0]
@@ -158,6 +158,8 @@ def sniff(
         )
         note("a line of units stands under the names", "each unit was written behind its name", skipped + 2)
     headless = not header and all(is_number(name) or not name for name in names)
+    if not header and len(body) > 3 and (shape := _shape(cells)).count("1") > 1:  # numbers where the rows have theirs
+        headless = headless or sum(_shape(cells_of(line, delimiter)) == shape for line in body) > 0.9 * len(body)
     if headless and skipped and not typed:  # the names may stand in the comment above the rows (``# t[s] v[m/s]``)
         told = lines[skipped - 1].strip().lstrip("#").strip()
         for words in (cells_of(told, delimiter), told.split()):
