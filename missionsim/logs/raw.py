@@ -199,7 +199,12 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     if not bad.any():
         return numbers
     if bad.sum() > (1 - _MOSTLY_NUMBERS) * written.sum():
-        return labels
+        units = {found[2] for word in labels.names if (found := _WITH_UNIT.match(word))}
+        if not units <= {*_SCALES, "%"} or isinstance(read := numbers_in(labels, name), Labels):
+            return labels
+        told = f"each cell has a unit behind its number ({', '.join(sorted(filter(None, units)))})"
+        raw.remarks.append(Remark("format", name, told, "read without prefix, speeds in m/s", "note"))
+        return read
     row = int(np.argmax(bad))
     first, count = labels.names[labels.codes[row]][:40], int(bad.sum())
     told = f"{count} of {len(numbers)} cells are not numbers, first '{first}'"
@@ -207,12 +212,28 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     return numbers
 
 
-_WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:%|[A-Za-zµ°/]{1,5}\d?)?\s*\Z")
+_WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(%|[A-Za-zµ°/]{1,5}\d?)?\s*\Z")
+_SCALES = {
+    "V": 1.0, "mV": 1e-3, "kV": 1e3, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "W": 1.0, "mW": 1e-3, "uW": 1e-6,
+    "kW": 1e3, "Wh": 1.0, "mWh": 1e-3, "kWh": 1e3, "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6,
+    "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704, "rad/s": 1.0, "deg/s": np.pi / 180, "°/s": np.pi / 180,
+}  # fmt: skip
+"""Unit in a cell → what a number in it is multiplied by."""
 
 
-def numbers_in(labels: Labels) -> ColumnData:
-    """Texts that hold a number and perhaps its unit (``"28.2%"``, ``"24.1 V"``) as numbers, where most do."""
-    numbers = numbers_of(labels, lambda word: float(found[1]) if (found := _WITH_UNIT.match(word)) else np.nan)
+def numbers_in(labels: Labels, name: str = "") -> ColumnData:
+    """Texts that hold a number and perhaps its unit (``"28.2%"``, ``"24.1 V"``) as numbers, where most do: units with a
+    prefix as those without, speeds in m/s, unless the column's `name` says the unit as well."""
+
+    def value(word: str) -> float:
+        found = _WITH_UNIT.match(word)
+        if found is None:
+            return float("nan")
+        unit = found[2] or ""
+        said = unit and re.search(rf"(?:\A|[^A-Za-z]){re.escape(unit)}[)\]]?\s*\Z", name, re.IGNORECASE)
+        return float(found[1]) * (1.0 if said else _SCALES.get(unit, 1.0))
+
+    numbers = numbers_of(labels, value)
     written = labels.codes >= 0
     few = not written.any() or np.isfinite(numbers[written]).mean() < _MOSTLY_NUMBERS
     return labels if few else numbers

@@ -10,6 +10,8 @@ import pytest
 
 from missionsim.cli.app import run_command as main
 from missionsim.logs import LogTable, read_log
+from missionsim.logs.formats.delimited import read_csv
+from missionsim.logs.readers import Options
 from tests.logs import loggers
 
 T = np.arange(0.0, loggers.LENGTH_S, 0.1)
@@ -260,3 +262,29 @@ def test_rows_with_words_and_no_header(tmp_path: Path) -> None:
     out = tmp_path / "log.parquet"
     assert main(["import", str(tmp_path / "a.csv"), "--map", str(tmp_path / "m.yaml"), "--out", str(out)]) == 0
     assert read_log(out).rows == 1200  # the first line is a row as well
+
+
+def test_units_behind_each_number(tmp_path: Path) -> None:
+    rows = list(zip(T, loggers.speed(T), loggers.power(T), strict=True))
+    cells = [(f"{24 - w / 99:.3f}V", f" {1000 * w / (24 - w / 99):.1f} mA", f"{3.6 * v:.3f} km/h") for _, v, w in rows]
+    path = write(tmp_path / "a.csv", "t,volt,curr,speed", T, *zip(*cells, strict=True))
+    lines = [
+        json.dumps({"ts": 1.7e9 + t, "volt": volt, "curr": curr, "speed": v})
+        for t, (volt, curr, v) in zip(T, cells, strict=True)
+    ]
+    (tmp_path / "b.jsonl").write_text("\n".join(lines) + "\n")
+    told = write(tmp_path / "c.csv", "t,volt (V),curr (mA),speed [km/h]", T, *zip(*cells, strict=True))
+    for one in (path, tmp_path / "b.jsonl", told):
+        log = suggested(tmp_path, one)
+        assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+        assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
+    assert "each cell has a unit behind its number (mA)" in str(read_log_remarks(path))
+    names = write(
+        tmp_path / "d.csv", "time_s,power_robot_w,run", T, loggers.power(T), [f"{1 + i % 3}b" for i in range(1200)]
+    )
+    assert read_log(names).columns["run"].names == ("1b", "2b", "3b")  # type: ignore[union-attr]
+
+
+def read_log_remarks(path: Path) -> list[str]:
+    """What was remarked on the columns of a text table."""
+    return [remark.message for remark in read_csv(path, Options()).remarks]

@@ -156,7 +156,7 @@ def columns_of(
         values = [message.get(field) for message in messages]
         if any(isinstance(value, str) for value in values):
             texts = (f"{value:g}" if isinstance(value, (int, float)) else value for value in values)
-            columns[field] = numbers_in(Labels.of(texts))
+            columns[field] = numbers_in(Labels.of(texts), field)
         else:
             columns[field] = np.array([np.nan if value is None else _finite(value) for value in values])
     return columns

@@ -163,7 +163,9 @@ class Held:
 
     def columns(self) -> dict[str, ColumnData]:
         return {
-            name: numbers_in(Labels.of(column)) if isinstance(column, list) else np.array(column, dtype=np.float64)
+            name: numbers_in(Labels.of(column), name)
+            if isinstance(column, list)
+            else np.array(column, dtype=np.float64)
             for name, column in self.values.items()
         }
 
