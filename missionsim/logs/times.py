@@ -32,8 +32,8 @@ _SHORT = re.compile(r"(\d{2})\.(\d{2})\.(\d{2})(?!\d)(?=[,T ]|\Z)")
 _HOUR, _DAY_S = 3600.0, 86400.0
 _EPOCHS = ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds"), (1e8, 1.0, "seconds"))
 """Times from 1973 to 5138 in each unit lie above its limit and below the one before."""
-_SLOWEST_S = 3000.0
-"""A usual step that is longer is none of a logger: microseconds since the start pass for seconds since 1970."""
+_SLOWEST_S, _YEAR_S = 3000.0, 3e7
+"""A longer usual step in a log of more than a year is none: microseconds since a start pass for seconds since 1970."""
 NO_TIME = "no time stamp that is known: ISO 8601, 14.03.2025 09:21:33,250, 09:21:33.25, or a number"
 
 
@@ -196,7 +196,8 @@ def epoch_of(values: Array) -> tuple[float, str] | None:
     middle, step = (float(np.median(known)) if len(known) else 0.0), np.diff(known)
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     found = next(((factor, unit) for limit, factor, unit in _EPOCHS if middle > limit), None)
-    return None if found is None or usual > _SLOWEST_S * found[0] else found
+    slow = found is not None and usual > _SLOWEST_S * found[0] and float(np.ptp(known)) > _YEAR_S * found[0]
+    return None if slow else found
 
 
 def _numbers(values: Array) -> Stamps:
