@@ -227,12 +227,25 @@ def _time(draft: Draft, path: Path) -> None:
         draft.columns.setdefault("time_s", ("TIME", guess))
         return
     draft.time_s = stamps.seconds
+    if formula and stamps.kind == "own" and _is_clock(stamps.seconds):
+        hours, minutes, seconds = f"{formula} // 10000", f"{formula} // 100 % 100", f"{formula} % 100"
+        draft.time_s = stamps.seconds // 10000 * 3600 + stamps.seconds // 100 % 100 * 60 + stamps.seconds % 100
+        told = replace(guess, why=f"{guess.why}; hours, minutes and seconds in one number, as GPS receivers write")
+        draft.column("time_s", f"{hours} * 3600 + {minutes} * 60 + {seconds}", told)
     if formula:
         words = "" if stamps.kind == "own" else f", {stamps.form}"
         draft.column("time_s", formula, replace(guess, why=guess.why + words))
     else:
         told = Guess("time", guess.field, "", 2.0, stamps.form, "sure")
         draft.columns["time_s"] = (draft.columns["time_s"][0], told)
+
+
+def _is_clock(values: Array) -> bool:
+    """Whether numbers are a time of day as ``hhmmss.ss``: no seconds and minutes from 60 on, so it jumps by 40."""
+    known = values[np.isfinite(values)]
+    if len(known) < 20 or not (known < 240000).all() or not 30 < float((known % 100).max()) < 60:
+        return False
+    return bool((known // 100 % 100 < 60).all() and (np.diff(known // 100) > 0).any())
 
 
 def _distinct(values: Array | Labels) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,6 +95,9 @@ class RawTable:
     """Columns of times that a reader of the format made seconds of, whose zone is not known."""
     names: tuple[str, ...] = ()
     """Every column of the file, also those that were not asked for."""
+    _: KW_ONLY
+    decimal: str = "."
+    """Decimal mark of numbers that stand among texts."""
 
     @property
     def rows(self) -> int:
@@ -115,11 +118,15 @@ def wanted_kind(name: str) -> str:
 
 
 def from_arrow(
-    table: pa.Table | pa.RecordBatch, file: str, lines: Callable[[int], int] = lambda _row: 0, first_row: int = 0
+    table: pa.Table | pa.RecordBatch,
+    file: str,
+    lines: Callable[[int], int] = lambda _row: 0,
+    first_row: int = 0,
+    decimal: str = ".",
 ) -> RawTable:
     """Columns of a pyarrow table or record batch, numbers as float64 and text as codes. `file`: for messages; `lines`:
-    see `RawTable`; `first_row`: row number of the first row in the file."""
-    raw = RawTable(file, {}, lines, [], first_row)
+    see `RawTable`; `first_row`: row number of the first row in the file; `decimal`: mark in numbers among texts."""
+    raw = RawTable(file, {}, lines, [], first_row, decimal=decimal)
     for name in table.schema.names:
         raw.columns[name] = _column(table.column(name), name, raw)
     return raw
@@ -193,14 +200,17 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     if all(word.strip().lower() in _SWITCH_WORDS for word in labels.names):
         raw.remarks.append(Remark("format", name, "words on/off or true/false", "read as 1 and 0", "note"))
         return numbers_of(labels, lambda word: _SWITCH_WORDS[word.strip().lower()])
-    numbers = numbers_of(labels, _number)
+    dotted = labels
+    if raw.decimal != ".":
+        dotted = Labels(labels.codes, tuple(word.replace(raw.decimal, ".") for word in labels.names))
+    numbers = numbers_of(dotted, _number)
     written = labels.codes >= 0
     bad = written & np.isnan(numbers)
     if not bad.any():
         return numbers
     if bad.sum() > (1 - _MOSTLY_NUMBERS) * written.sum():
-        units = {found[2] for word in labels.names if (found := _WITH_UNIT.match(word))}
-        if not units <= {*_SCALES, "%"} or isinstance(read := numbers_in(labels, name), Labels):
+        units = {found[2] for word in dotted.names if (found := _WITH_UNIT.match(word))}
+        if not units <= {*_SCALES, "%"} or isinstance(read := numbers_in(dotted, name), Labels):
             return labels
         told = f"each cell has a unit behind its number ({', '.join(sorted(filter(None, units)))})"
         raw.remarks.append(Remark("format", name, told, "read without prefix, speeds in m/s", "note"))

@@ -288,3 +288,22 @@ def test_units_behind_each_number(tmp_path: Path) -> None:
 def read_log_remarks(path: Path) -> list[str]:
     """What was remarked on the columns of a text table."""
     return [remark.message for remark in read_csv(path, Options()).remarks]
+
+
+def test_hours_minutes_and_seconds_in_one_number(tmp_path: Path) -> None:
+    utc = [
+        f"{17 + (3590 + int(t)) // 3600:02d}{(3590 + int(t)) // 60 % 60:02d}{(3590 + t) % 60:05.2f}" for t in T.round(2)
+    ]
+    path = write(tmp_path / "a.csv", "utc,power_w,speed", utc, loggers.power(T), loggers.speed(T))
+    log = suggested(tmp_path, path)
+    assert log.time_s[-1] == pytest.approx(T[-1], abs=0.2)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_decimal_commas_beside_a_cell_without_a_number(tmp_path: Path) -> None:
+    rows = [f"{t:.1f};{w:.3f};{v:.3f}" for t, v, w in zip(T, loggers.speed(T), loggers.power(T), strict=True)]
+    rows[5] = rows[5].rpartition(";")[0] + ";-"
+    (tmp_path / "a.csv").write_text("Zeit [s];Leistung [W];Tempo v [m/s]\n" + "\n".join(rows).replace(".", ",") + "\n")
+    log = suggested(tmp_path, tmp_path / "a.csv")
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)

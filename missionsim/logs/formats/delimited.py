@@ -202,7 +202,9 @@ class _File:
         import pyarrow as pa
 
         dialect = self.dialect
-        raw = from_arrow(pa.Table.from_batches(batches, self.schema), str(self.path), self.lines, first_row)
+        raw = from_arrow(
+            pa.Table.from_batches(batches, self.schema), str(self.path), self.lines, first_row, dialect.decimal
+        )
         raw.remarks[:0] = dialect.remarks if not first_row else []
         raw.headless, raw.names = dialect.headless, dialect.names
         for name, word in zip(dialect.names, dialect.first, strict=False):
