@@ -255,7 +255,7 @@ class QuantityOf:
         if not isinstance(raw, Mapping):
             raise wrong("a distribution is a mapping", as_written(raw), "{kind: normal, sd: …}")
         kind = raw.get("kind")
-        if kind not in _NEEDS:
+        if not isinstance(kind, str) or kind not in _NEEDS:
             hint = did_you_mean(kind, _NEEDS) if isinstance(kind, str) else ""
             raise wrong("unknown kind of distribution", as_written(kind), ", ".join(_NEEDS), "kind", hint=hint)
         needs, issues, what = _NEEDS[kind], _Wrong(), f"{'an' if kind == 'empirical' else 'a'} {kind} distribution"

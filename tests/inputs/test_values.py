@@ -12,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from missionsim.errors import InputError
+from missionsim.inputs.loading import load_environment
 from missionsim.inputs.parameter import Distribution, Parameter
 from missionsim.inputs.values import EffectNumber, Fraction, Power, QuantityOf, Slope, Temperature
 
@@ -173,3 +175,14 @@ def test_scaled_parameter_scales_its_distribution(value: float, share: float) ->
     assert parameter.distribution is not None
     assert parameter.distribution.mean == pytest.approx(3 * value)
     assert parameter.distribution.sd == pytest.approx(3 * share * value)
+
+
+@pytest.mark.parametrize("kind", ["lognorm", "{q: 1}", "[normal]"])
+def test_a_kind_of_distribution_that_is_none_is_a_fault_of_the_file(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "site.yaml"
+    text = (
+        "kind: environment\nname: site\nplaces:\n  tank: {x: 60 m, y: {value: 2, distribution: {kind: %s, sd: 5 %%}}}\n"
+    )
+    path.write_text(text % kind, encoding="utf-8")
+    with pytest.raises(InputError, match="unknown kind of distribution"):
+        load_environment(path)
