@@ -223,6 +223,8 @@ def estimated(
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
+        # the selection by prediction asks no likelihood
+        p_values = [e.p_value if choice.forward is None else e.p_robust for e in evidence]
         repeated = max(evidence, key=lambda e: e.gain).p_runs < RUN_LEVEL
         out.append(
             Finding(
@@ -231,7 +233,7 @@ def estimated(
                 energy_share=share,
                 share_low=share - reach,
                 share_high=share + reach,
-                p_value=min(e.p_value for e in evidence),
+                p_value=min(p_values),
                 p_runs=min((e.p_runs for e in evidence), default=float("nan")),
                 gain_nats=max(e.gain for e in evidence),
                 level="identified, repeated across runs" if repeated else "identified",

@@ -27,6 +27,7 @@ from missionsim.identify.settings import (
     LABEL_LEVEL,
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
+    LOUDER,
     NESTED,
     OFTEN,
     OFTEN_PART,
@@ -238,9 +239,10 @@ class _Search:
                 break
             # watts that another meter measured come before anything whose size has to be found
             known = [t for t in tried if self._logged(t.columns)]
+            # what makes them needless imitates them
             for best in sorted(known or tried, key=lambda t: t.left.total):
                 kept = self._kept((*chosen, *best.columns))
-                if self._logged(chosen) <= self._logged(kept):  # what makes them needless imitates them
+                if self._logged(chosen) <= self._logged(kept) or self._louder(best, chosen):
                     break
             else:
                 break
@@ -253,6 +255,13 @@ class _Search:
     def _logged(self, columns: Sequence[int]) -> set[int]:
         """Effects among them that pass on watts of another meter."""
         return {n for n in map(self.effect_of, columns) if self.candidates[n].effect.startswith(LOGGED)}
+
+    def _louder(self, best: Trial, chosen: Sequence[int]) -> bool:
+        """Whether an effect explains so much more than the logged watts in a set that it is no imitation of them."""
+        logged = self._logged(chosen)
+        total = self.squares.leave_out(chosen).total
+        without = self.squares.leave_out([k for k in chosen if self.effect_of(k) not in logged]).total
+        return total - best.left.total > LOUDER * (without - total)
 
     def _kept(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
         """The set without effects that a later one has made needless (backward elimination)."""

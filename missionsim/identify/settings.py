@@ -345,6 +345,9 @@ anew, or, beside a base that is near, whether runs differ by them (F)."""
 HALVED, HALVED_LEVEL = 0.5, 0.05
 """An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
 differ from run to run, so that the Wald test over few of them has no power."""
+LOUDER = 10.0
+"""An effect that takes this many times off the error of left-out runs what logged watts do is no imitation of them,
+though they are lost beside it (assumed; of a car's inertia beside its air conditioning it is 270)."""
 TWINS, TWIN = 1.1, 0.75
 """A base without priors that leaves no more than this part of the squared error refutes the file: the first where two
 effects that stand in for its parameters were found, or one and the base is far from right; the second where one of the

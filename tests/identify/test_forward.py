@@ -11,6 +11,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.forward import _Search, far_from_right
+from missionsim.identify.identification import identify
 from missionsim.identify.predictive import LeastSquares, sober_clock
 from missionsim.identify.settings import WORSE_ENERGY, WORSE_ENERGY_LEVEL, Settings
 
@@ -116,6 +117,19 @@ def test_watts_that_are_logged_stay_though_something_makes_them_needless() -> No
     assert search.tried(1, [1], [0]).accepted
     assert not search.tried(0, [0], [1]).accepted
     assert search.chosen(None) == (0,)
+
+
+def test_what_is_far_louder_than_watts_that_are_logged_imitates_nothing() -> None:
+    """A car's air conditioning runs where it speeds up, by chance, and is lost beside its inertia."""
+    rng, folds = np.random.default_rng(5), []
+    for _ in range(8):
+        heater, inertia = rng.normal(size=(2, 600))
+        power = 5.0 * inertia + 0.5 * rng.normal(size=600)
+        folds.append(np.vstack([power, 10.0 * heater + 2.0 * inertia, inertia, np.ones(600), 10.0 + power]))
+    search = searched(folds, ["logged_power:heater_w", "acceleration"])
+    assert search.tried(0, [0], []).accepted
+    assert not search.tried(0, [0], [1]).accepted
+    assert search.chosen(None) == (1,)
 
 
 @pytest.mark.parametrize(
@@ -309,3 +323,17 @@ def test_energy_that_gets_worse_by_next_to_nothing_is_no_ground(worse_w: float, 
     assert beside.total < 0.1 * without.total
     assert squares.energy_no_worse([], without, [0], beside) < WORSE_ENERGY_LEVEL
     assert (squares.energy_no_worse([], without, [0], beside, WORSE_ENERGY) < WORSE_ENERGY_LEVEL) is refused
+
+
+def test_the_p_value_that_is_told_is_the_one_that_was_asked() -> None:
+    """A load that nobody logged is as large as the power itself; the rise of a likelihood says little beside it."""
+    rng = np.random.default_rng(4)
+    runs = []
+    for run in make_runs(4, {"grade": 1.0}):
+        load = np.repeat(rng.normal(size=len(run.time_s) // 5 + 1), 5)[: len(run.time_s)]
+        runs.append(replace(run, measured_w=run.measured_w + run.measured_w.mean() * load))
+    found = identify(runs, library(), {}, Settings(align=False))
+    assert found.choice.forward is not None
+    (grade,) = found.effects
+    (trial,) = (t for t in found.choice.forward.trials.values() if t.columns == found.choice.forward.chosen)
+    assert grade.p_value == trial.p_value < 0.001

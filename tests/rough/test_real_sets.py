@@ -49,6 +49,9 @@ def test_the_car_needs_its_inertia_both_ways_and_the_slope(shared: Path) -> None
     split = split_of(shared / "data" / "i3_trips")
     found = improved(split, "1270 kg", "ackermann")
     assert found.added[:2] == ("acceleration", "grade")
+    # as the first diagnosis says already; the clocks of power and motion agree, data/i3_trips/README.md
+    assert {"acceleration", "grade"} <= {effect.effect for effect in found.first.effects}
+    assert found.first.delay_s == 0.0
 
     def build(log, columns):
         v, a, slope = (np.asarray(log.columns[c], dtype=float) for c in ("speed_m_s", "accel_m_s2", "slope_rad"))
