@@ -275,6 +275,8 @@ def add_effect(
     if made.rivals:
         told = f"these logs cannot tell {effect} from {', '.join(made.rivals)}"
         print(f"warning: {told}; missionsim diagnose says what to drive to find out", file=sys.stderr)
+    if made.effect.remark:
+        print(f"warning: {made.effect.remark}", file=sys.stderr)
     if to.text:
         terminal = console()
         found = ", ".join(

@@ -165,7 +165,7 @@ def adopt(
         raise NotSignificant(reason)
     models = seen.models
     fitted = models.fit(together, keep_base=not recalibrate)
-    (found,) = models.told([found], fitted)
+    (found,) = models.leaning(models.told([found], fitted), fitted)
     if len(together) > 1 and recalibrate:
         # the base beside other effects is wrong in a file that lacks them; the size of this one is not
         fitted = models.fit([found], fixed=True)

@@ -284,6 +284,7 @@ def _named(
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
+    effects = models.leaning(effects, fitted)
     told = {effect.effect for effect in effects}
     candidates = []
     for one in found.candidates:

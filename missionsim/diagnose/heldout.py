@@ -16,7 +16,7 @@ import numpy as np
 from missionsim.diagnose.features import Features
 from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
-from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit
+from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit, of_formula
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Source
 from missionsim.identify.estimates import Z95
@@ -127,6 +127,23 @@ class Models:
             share = effect.energy_share * times
             low, high = share - reach, share + reach
             told.append(replace(effect, parameters=parameters, energy_share=share, share_low=low, share_high=high))
+        return tuple(told)
+
+    def leaning(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
+        """The effects, with a remark on those beside which a parameter of the formula of motion falls below nothing."""
+        formula = {name for name, parameter in self.features.parameters.items() if of_formula(parameter)}
+        told = []
+        for effect in effects:
+            without = self.fit([one for one in effects if one is not effect]).values
+            for name in sorted(formula & fitted.values.keys() & without.keys()):
+                new, was = fitted.values[name], without[name].value
+                if new.value < 0.0 and new.value + Z95 * new.sd < was:
+                    remark = (
+                        f"beside it {name} of the base falls below nothing, from {was:.3g} to {new.value:.3g}: the two "
+                        "together are one curve, which something else that is missing may bend so"
+                    )
+                    effect = replace(effect, remark="; ".join(filter(None, (effect.remark, remark))))
+            told.append(effect)
         return tuple(told)
 
     def of_all_braking(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:

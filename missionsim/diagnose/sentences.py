@@ -208,14 +208,19 @@ def errors(battery: BatteryDiagnosis) -> str:
     energy_pct, rmse_w = with_it.energy_error_pct, with_it.power_rmse_w
     if law is not None and law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
         energy_pct, rmse_w = law.heldout_energy_pct[1], law.heldout_rmse_w[1]
-    was, alone, now = power(given.power_rmse_w), power(base.power_rmse_w), power(rmse_w)
-    told = f"On runs not used the power error was {was} ({alone} recalibrated) and is {now} with it"
+    was, alone, now = power(given.power_rmse_w), power(base.power_rmse_w), f"{power(rmse_w)} with it"
+    energies = [given.energy_error_pct, energy_pct]
+    if rmse_w != with_it.power_rmse_w and battery.effects:
+        named = _listed([effect.effect for effect in battery.effects])
+        now = f"{power(with_it.power_rmse_w)} with {named}, {power(rmse_w)} with the law as well"
+        energies.insert(1, with_it.energy_error_pct)
+    told = f"On runs not used the power error was {was} ({alone} recalibrated) and is {now}"
     if rmse_w > given.power_rmse_w:
-        told = f"On runs not used the power error WAS ONLY {was} ({alone} recalibrated) and is {now} with it"
+        told = f"On runs not used the power error WAS ONLY {was} ({alone} recalibrated) and is {now}"
     elif rmse_w > base.power_rmse_w:
         told = f"On runs not used the power error was {was}, is {alone} with the base alone fitted anew, and NO LESS, "
-        told += f"{now}, with it"
-    return f"{told} (energy {given.energy_error_pct:.2f} → {energy_pct:.2f} %)."
+        told += now.replace(" with", ", with", 1)
+    return f"{told} (energy {' → '.join(f'{pct:.2f}' for pct in energies)} %)."
 
 
 def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:

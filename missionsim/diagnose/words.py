@@ -23,7 +23,7 @@ def headline(battery: BatteryDiagnosis) -> str:
     name, left = f"Battery {battery.battery}", battery.unexplained
     said = list(filter(None, [sentences.worse(battery)]))
     clear = [f for f in battery.effects if not f.indistinguishable_from]
-    said += [f"{name}: {sentences.missing(f)}; that is {f.effect}." for f in clear]
+    said += [f"{name}: {sentences.missing(f)}; that {'may be' if f.remark else 'is'} {f.effect}." for f in clear]
     for effect in battery.effects:
         if effect.indistinguishable_from:
             names = " or ".join((effect.effect, *effect.indistinguishable_from))
@@ -137,7 +137,7 @@ def found_line(effect: Finding) -> str:
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
     return (
         f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
-        f"p = {effect.p_value:.1g}{runs}"
+        f"p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.remark)}{effect.remark}"
     )
 
 

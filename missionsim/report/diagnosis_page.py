@@ -74,7 +74,7 @@ def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], s
         for law in battery.proposed_laws[:1]:
             if law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
                 after = law.heldout_rmse_w[1]
-                energy = f"energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
+                energy = f"with the law; energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
         cards.append(("Power error, runs not used", f"{before:.3g} → {after:.3g} W", energy))
     drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
     cards.append(("Mean power", f"{web.format_cell(battery.mean_power_w, 3)} W", drives))

@@ -129,7 +129,9 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     law = SimpleNamespace(far_better=False, instead_of=("grade",))
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
-    models = SimpleNamespace(of_all_braking=tuple, certain=lambda effects, *_: (effects, None))
+    models = SimpleNamespace(
+        of_all_braking=tuple, certain=lambda effects, *_: (effects, None), leaning=lambda effects, _: effects
+    )
     monkeypatch.setattr(diagnosis, "proposed_laws", lambda *_: (law,))
     seen = SimpleNamespace(features=features, found=found, models=models, held=())
     _, _, proposed, _ = diagnosis._named(seen, Settings(), True, tried)  # type: ignore[arg-type]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
-from missionsim.diagnose import words
+from missionsim.diagnose import sentences, words
 from missionsim.files import to_json
 from missionsim.identify.findings import (
     BatteryDiagnosis,
@@ -206,3 +207,18 @@ def test_the_page_shows_what_looks_alike() -> None:
         "grade and payload: r = -0.20",
         "grade and turning: r = 0.10",
     ]
+
+
+def test_errors_with_the_effects_and_with_a_law_beside_them_are_told_apart() -> None:
+    law = SimpleNamespace(heldout_rmse_w=(1.2, 0.9), heldout_energy_pct=(1.2, 1.1))
+    told = sentences.errors(replace(BATTERY, proposed_laws=(law,)))
+    assert "is 1.2 W with grade, 0.9 W with the law as well (energy 4.60 → 1.20 → 1.10 %)" in told
+    assert "is 1.2 W with it (energy 4.60 → 1.20 %)" in sentences.errors(BATTERY)
+
+
+def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
+    doubted = replace(BATTERY, effects=(replace(GRADE, remark="beside it k1 falls below nothing"),))
+    assert "that may be grade" in words.headline(doubted)
+    assert "that it is grade is not: beside it k1" in sentences.sure(doubted)
+    assert words.found_line(doubted.effects[0]).endswith("; beside it k1 falls below nothing")
+    assert "that is grade" in words.headline(BATTERY)

@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from missionsim.diagnose.diagnosis import diagnose
+from missionsim.diagnose.examine import Subject
 from missionsim.diagnose.improve import Improved, improve
+from missionsim.diagnose.sentences import sure
 from missionsim.diagnose.split import Split, choose_split
+from missionsim.diagnose.words import headline
 from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
 from missionsim.importer.mapping import import_source
@@ -114,3 +118,15 @@ def test_each_of_the_warthogs_drives_is_predicted_from_the_others(warthog: list[
     rms = np.sqrt(np.mean(power**2, axis=1))
     assert rms[0] < 1.05 * rms[2] < 0.6 * rms[1]
     assert energy[0].mean() < min(energy[1].mean(), energy[2].mean())
+
+
+def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called_sure(shared: Path) -> None:
+    """A base that lacks what turning costs falls with the speed: what bends it back is a curve, and no friction."""
+    split = split_of(shared / "data" / "husky_floors")
+    made = calibrate_new(NewRobot("own", "k1*v + k0", mass="50 kg", drive="skid_steer"), split.train)
+    found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
+    told = {effect.effect: effect.remark for effect in found.effects}
+    assert "k1 of the base falls below nothing" in told["viscous_friction"]
+    assert "k1" not in told["surface_rolling_resistance"]
+    assert "that may be viscous_friction" in headline(found)
+    assert "that it is viscous_friction is not" in sure(found)
