@@ -121,6 +121,18 @@ class Expression:
                 ) from problem
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
+    def proportional_to(self, name: str) -> bool:
+        """Whether nothing at a few values of the other names speaks against ``name * …``."""
+        others = sorted(self.names - {name})
+        for scale in (0.3, 1.7, -0.6):
+            values = {other: scale * (1.0 + 0.37 * place) for place, other in enumerate(others)}
+            none, once, twice = (np.asarray(self.evaluate({**values, name: x})) for x in (0.0, 1.0, 2.0))
+            if np.isfinite([once, twice]).all() and not (
+                np.isclose(twice, 2.0 * once) and abs(np.nan_to_num(none)) == 0.0
+            ):
+                return False
+        return True
+
     def __reduce__(self) -> tuple[Any, ...]:
         return functools.partial(compile_expression, **self.place._asdict()), (self.source,)
 
@@ -205,6 +217,9 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
             return _constant(word)
         case ast.Name(id=name) if name in CONSTANTS and (allowed is None or name not in allowed):
             return _constant(CONSTANTS[name])
+        case ast.Name(id=name) if allowed is None and name.lower() in ("nan", "inf", "infinity"):
+            fault(f"'{name}' is no number that a formula can hold", node, name, "numbers and names")
+            return _constant(np.nan)
         case ast.Name(id=name):
             if allowed is not None and name not in allowed:
                 known, meant = ", ".join(sorted(allowed)) or "no names", did_you_mean(name, allowed | _KNOWN)

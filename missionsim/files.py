@@ -65,9 +65,8 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, bool, Path]:
     try:
         if not special:
             final.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{final.stem}.", suffix=final.suffix, dir=None if special else final.parent
-        )
+        folder = None if special else final.parent.absolute()  # Arrow takes a path that begins with ~ for a home
+        handle, name = tempfile.mkstemp(prefix=f".{final.stem}.", suffix=final.suffix, dir=folder)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
     os.close(handle)

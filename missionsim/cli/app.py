@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from missionsim.cli.options import SHARED, Call, check_targets, options_of
+from missionsim.cli.options import SHARED, Call, options_of
+from missionsim.cli.targets import check_targets
 from missionsim.errors import InputError, visible
 
 EXIT_FINE, EXIT_INPUT, EXIT_OURS = 0, 2, 3
@@ -146,8 +147,17 @@ def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
         function, bound, _ = app.parse_args(spelled_out(arguments), exit_on_error=False, print_error=False)
     except CycloptsError as error:
         print(visible(f"command line: error: {' '.join(str(error).split())}"), file=sys.stderr)
+        for before, after in itertools.pairwise(arguments):
+            if "requires an argument" in str(error) and f" {before} " in str(error) and after[:1] == "-" != after[1:2]:
+                print(f"    a value that begins with - is joined to its option: {before}={after!r}", file=sys.stderr)
         print("    see: missionsim --help", file=sys.stderr)
         return None
+    known = options_of(function) if function.__module__.startswith(__package__) else {}
+    for before, after in itertools.pairwise([*arguments, ""]):
+        name, equals, value = before.partition("=")
+        value = value if equals else after
+        if name in known and int in known[name].types and "." in value:  # which the parser would round
+            raise InputError.single(f"{name} takes a whole number", got=value, allowed="such as 5")
     return Call(function, bound.args, bound.kwargs)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from missionsim import __version__
-from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output, RobotFile, tell_left_out
+from missionsim.cli.options import TERMINAL, OutFolder, OutPage, Output, OutRecording, RobotFile, tell_left_out
 from missionsim.compare import compare_files
 from missionsim.compare.comparison import thousandfold
 from missionsim.errors import InputError
@@ -31,9 +31,9 @@ def compare(
     mission: Path | None = None,
     by: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
     tolerance: float | None = None,
-    report: OutFile | None = None,
+    report: OutPage | None = None,
     out: OutFolder | None = None,
-    mcap: OutFile | None = None,
+    mcap: OutRecording | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Compare a robot's model with measured logs: energy, power, and where it fails.
@@ -65,8 +65,6 @@ def compare(
     """
     if tolerance is not None and not tolerance >= 0.0:
         raise InputError.single("the tolerance is a percentage", got=tolerance, allowed="zero or more")
-    if report is not None and report.suffix.lower() not in (".html", ".htm"):
-        raise InputError.single("the report is a page", got=report, allowed="a file name that ends in .html")
     text = to.text
     with to.progress() as bar:
         task = bar.add_task("runs", total=None)

@@ -4,32 +4,33 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from missionsim import __version__
-from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
+from missionsim.cli.options import TERMINAL, OutPage, Output, RobotFile, Search, tell_left_out
 from missionsim.diagnose import diagnose_files, sentences, words
-from missionsim.diagnose.adopt import NotSignificant, adopt
+from missionsim.diagnose.adopt import NotSignificant, adopt, check_name
 from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.improve import improve as run_improve
-from missionsim.diagnose.proposed import called, formula_of, proposed_laws, with_candidate
+from missionsim.diagnose.proposed import called, check_formula, formula_of, proposed_laws, with_candidate
 from missionsim.diagnose.sentences import worse
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import energy_note, measured_note
 from missionsim.diagnose.words import heldout_line
-from missionsim.errors import InputError
+from missionsim.errors import InputError, visible
 from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
-from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
 
 
 def diagnose(
-    *logs: Path, search: Search, mission: Path | None = None, report: OutFile | None = None, to: Output = TERMINAL
+    *logs: Path, search: Search, mission: Path | None = None, report: OutPage | None = None, to: Output = TERMINAL
 ) -> int:
     """Find which physical effect the robot's model lacks, or say that these data cannot tell and what to drive next.
 
@@ -103,7 +104,7 @@ def improve(
     out: RobotFile,
     yes: bool = False,
     without: list[str] | None = None,
-    report: OutFile | None = None,
+    report: OutPage | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Compare, diagnose, add what is missing and compare again, until nothing is left to find.
@@ -131,6 +132,9 @@ def improve(
             "improve asks before it adds an effect, and this is no terminal",
             allowed="--yes to add every effect that was identified",
         )
+    for name in without or ():
+        if not name.startswith("law_"):  # laws are not known before they are found
+            check_name(load_robot(search.robot), name)
     spec, split, tables, left_out = search.read(logs, to)
     text = robot_text(search.robot)
     measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
@@ -174,10 +178,10 @@ def improve(
     to.emit({**found, "batteries": {d.battery: d.to_json() for d in done}, "skipped": left, "left_out": left_out})
     if report is not None:
         write_text(report, improve_page(spec.name, done, advice=advice))
+    for name in [] if to.quiet else [name for name in without or () if name not in refused]:
+        print(visible(f"warning: --without {name}: nothing of that name was about to be added"), file=sys.stderr)
     if to.text:
         _print(done, advice, skipped)
-        for name in [name for name in without or () if name not in refused]:
-            console().print(f"--without {name}: nothing of that name was about to be added")
         console().print(f"written: {out}")
         if report is not None:
             console().print(f"report written: {report}")
@@ -249,6 +253,10 @@ def add_effect(
             got="both" if effect else "neither",
             allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
         )
+    if effect is not None:
+        check_name(load_robot(search.robot), effect)
+    elif formula is not None and not formula.strip().isdigit():
+        check_formula(formula)
     spec, split, tables, left_out = search.read(logs, to)
     measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
     motors = spec.motion.battery if spec.motion is not None else ""
@@ -263,6 +271,13 @@ def add_effect(
     assert effect is not None
     try:
         made = adopt(text, spec, split, effect, chosen, search.settings, force=force, recalibrate=not keep_base)
+    except InputError as error:
+        if formula is None:
+            raise
+        at_option = [
+            replace(f, file="--formula", line=0, column=0, path="") if f.got == formula else f for f in error.faults
+        ]
+        raise InputError(at_option) from None
     except NotSignificant as error:
         refused = {"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": False}
         to.emit(refused | {"reason": str(error)})

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from cyclopts import App
 
-from missionsim.cli.options import TERMINAL, OutFile, Output
-from missionsim.errors import InputError
+from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile
+from missionsim.errors import Fault, InputError
 from missionsim.exchange.formats import import_site as read
 from missionsim.exchange.nav2 import export_costs
 from missionsim.exchange.qgc import plan_of
@@ -61,8 +62,7 @@ def nav2(
     spec = load_robot(robot)
     if battery and battery not in spec.batteries:
         raise InputError.single(f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(spec.batteries))
-    if not 0.0 <= time_weight <= 1e6 or not 0.0 <= payload <= 1e6 or (speed is not None and not 0.0 < speed <= 60.0):
-        raise InputError.single("--time-weight, --payload and --speed are not negative", allowed="0 or more")
+    _within(("--time-weight", time_weight, 0.0, 1e6), ("--payload", payload, 0.0, 1e6), ("--speed", speed, 1e-3, 60.0))
     found = export_costs(
         graph, spec, battery=battery, wh_per_s=time_weight, speed=speed, best_speed=best_speed, payload_kg=payload
     )
@@ -78,7 +78,7 @@ def nav2(
 
 
 @app.command
-def rmf(config: Path, /, *logs: Path, robot: str, out: Path, battery: str = "", to: Output = TERMINAL) -> int:
+def rmf(config: Path, /, *logs: Path, robot: str, out: OutFile, battery: str = "", to: Output = TERMINAL) -> int:
     """Write friction, ambient and tool watts and capacity into a fleet config of Open-RMF, and say how far it follows.
 
     Parameters
@@ -152,7 +152,7 @@ def vda5050(
 
 @app.command
 def qgc(
-    mission: Path, /, *, out: Path, robot: str | None = None, origin: str | None = None, to: Output = TERMINAL
+    mission: Path, /, *, out: OutFile, robot: str | None = None, origin: str | None = None, to: Output = TERMINAL
 ) -> int:
     """Write a mission as a plan of QGroundControl for a rover.
 
@@ -186,6 +186,16 @@ def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path
     if to.text:
         _tell(title, remarks, out)
     return 0
+
+
+def _within(*options: tuple[str, float | None, float, float]) -> None:
+    """Refuse numbers outside what they may be, all of them at once."""
+    if faults := [
+        Fault("", 0, 0, f"{name} cannot be used so", "", f"{value:g}", f"{low:g} to {high:g}")
+        for name, value, low, high in options
+        if value is not None and not low <= value <= high
+    ]:
+        raise InputError(faults)
 
 
 def _tell(title: str, remarks: Iterable[object], *written: Path | None) -> None:
@@ -235,11 +245,18 @@ def import_site(
     """
     if mission is not None and out is None:
         raise InputError.single("--mission needs --out", allowed="--out SITE.yaml --mission MISSION.yaml")
-    if not 0.0 <= smooth <= 1e5 or (scale is not None and not 0.0 < scale <= 1e3):
-        raise InputError.single("--smooth and --scale are lengths in m", got=f"{smooth:g}, {scale}", allowed="above 0")
+    _within(("--smooth", smooth, 0.0, 1e5), ("--scale", scale, 1e-9, 1e3))
     driver = robot or ("pioneer3dx" if mission is not None else None)
     spec = None if driver is None else load_robot(driver)
     site = read(file, SiteOptions(spec, vehicle, graph, scale, smooth))
+    ours = {
+        "--vehicle": (bool(vehicle), "layout"),
+        "--graph": (graph is not None, "Open-RMF"),
+        "--scale": (scale is not None, "Open-RMF"),
+        "--smooth": (smooth != 50.0, "GPX"),
+    }
+    if other := [f"{name} is for {of} files" for name, (given, of) in ours.items() if given and of not in site.format]:
+        raise InputError(Fault(site.file, 0, 0, told, "", site.format) for told in other)
     if driver is not None and robot is None:
         site.tell("robot of the mission: pioneer3dx, since --robot names none")
     if out is not None:
@@ -257,7 +274,9 @@ def import_site(
     return 0
 
 
-def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "robot", to: Output = TERMINAL) -> int:
+def import_robot(
+    config: Path, /, *, out: RobotFile | None = None, battery: str = "robot", to: Output = TERMINAL
+) -> int:
     """Turn a fleet config of Open-RMF into a robot file.
 
     Its power is the one that Open-RMF plans with: friction, acceleration, ambient and tool watts.
@@ -271,6 +290,9 @@ def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "ro
     battery
         Name of the robot's battery, as logs call it.
     """
+    if not re.fullmatch("[a-z][a-z0-9_]{0,59}", battery):
+        allowed = "lower-case letters, digits and _, beginning with a letter"
+        raise InputError.single("--battery is not a name that can be used here", got=battery, allowed=allowed)
     fleet = read_fleet(config)
     text = fleet.robot_text(battery)
     name = robot_from_text(text, str(out or config)).name

@@ -20,13 +20,12 @@ from missionsim.files import install_hint, to_json, write_text
 from missionsim.report.figures_run import write_batch_figures
 from missionsim.report.terminal import console, show_table
 from missionsim.results.write import write_results
-from missionsim.uncertainty.batch import Prepared, Task, answer_batch, prepare
+from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Prepared, Task, answer_batch, prepare
 from missionsim.uncertainty.importance import refuse_correlated
 from missionsim.uncertainty.single import simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
 RESUMABLE = 130
-MOST_RUNS, MOST_WORKERS = 10**9, 1024
 SCHEDULER_WAIT_S = 10
 
 

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutPicture, Output
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutPage, OutPicture, Output
 from missionsim.cli.run import clock
 from missionsim.engine.outcome import RunResult
 from missionsim.errors import InputError
@@ -34,7 +34,7 @@ def plan(
     alternatives: bool = False,
     seconds: float | None = None,
     plot: OutPicture | None = None,
-    report: OutFile | None = None,
+    report: OutPage | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Plan a task: which order, which way, which speed, which control scheme, where to charge.

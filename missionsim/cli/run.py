@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutFolder, Output
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output, OutRecording
 from missionsim.report.terminal import console, show_table, simple_table, titled
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def run(
     out: OutFolder | None = None,
     format: Literal["csv", "parquet"] = "csv",
     plot: list[Literal["png", "svg"]] | None = None,
-    mcap: OutFile | None = None,
+    mcap: OutRecording | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Simulate one mission with SimPy and tell what each battery gave to what.

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, OutTable
 from missionsim.cli.run import clock
 from missionsim.errors import InputError
 from missionsim.inputs.overrides import split_assignment
 from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import write_table
-from missionsim.uncertainty.batch import Task, compare_alternatives
+from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Task, compare_alternatives
 
 MOST_TERMS = 5
 
@@ -28,7 +28,7 @@ def whatif(
     montecarlo: int = 0,
     seed: int = 0,
     workers: int = 1,
-    out: OutFile | None = None,
+    out: OutTable | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Run the alternatives of a mission and print one table: what each changes by battery, duration and term.
@@ -75,10 +75,10 @@ def whatif(
         pairs = [(name, split_values(text)) for name, text in map(split_assignment, vary or ())]
         alternatives = [Alternative(BASELINE, base, robot)]
         alternatives += [Alternative(a.name, a.set, robot) for a in varied(pairs, base)]
-    if montecarlo and montecarlo < 2:
-        raise InputError.single("--montecarlo needs at least 2 runs", got=montecarlo, allowed="such as 500")
-    if not 1 <= workers <= 1024:
-        raise InputError.single("--workers cannot be used so", got=workers, allowed="1 to 1024")
+    if montecarlo and not 2 <= montecarlo <= MOST_RUNS:
+        raise InputError.single("--montecarlo cannot be used so", got=montecarlo, allowed=f"2 to {MOST_RUNS}, or 0")
+    if not 1 <= workers <= MOST_WORKERS:
+        raise InputError.single("--workers cannot be used so", got=workers, allowed=f"1 to {MOST_WORKERS}")
     with to.progress() as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
         found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)

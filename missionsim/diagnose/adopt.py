@@ -77,6 +77,40 @@ class Adopted:
         return "" if self.heldout is None else worse_note(bars_of(self.heldout))
 
 
+def check_name(robot: RobotSpec, effect: str) -> None:
+    """Refuse an effect that neither the library nor the robot file knows, before any log is read.
+
+    Parameters
+    ----------
+    robot : RobotSpec
+    effect : str
+        Id in the library, or name of one of the file's candidates.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+    """
+    from missionsim.effects.library import get_effect
+
+    if any(effect == spec.name for spec in robot.effects):
+        return
+    family, colon, component = effect.partition(":")
+    if colon and family.startswith("component_") and component not in robot.components:
+        raise InputError.single(
+            f"the robot has no component '{component}'",
+            got=effect,
+            allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
+            hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
+        )
+    if get_effect(effect, ("",)).execution:
+        raise InputError.single(
+            f"'{effect}' is how the robot drives, not what it draws: write it under 'behaviour' of the mission or of a "
+            "scheme",
+            got=effect,
+            allowed="effects that add power",
+        )
+
+
 def adopt(
     text: str,
     robot: RobotSpec,
@@ -113,22 +147,12 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
-    from missionsim.effects.library import get_effect
-
     subject = Subject.of(robot)
     if battery not in robot.batteries:
         raise InputError.single(
             f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
         )
-    family, colon, component = effect.partition(":")
-    if colon and family.startswith("component_") and component not in robot.components:
-        raise InputError.single(
-            f"the robot has no component '{component}'",
-            got=effect,
-            allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
-            hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
-        )
-    own = {e.id for e in subject.own.get(battery, ())}
+    check_name(robot, effect)
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
             raise InputError.single(
@@ -136,13 +160,6 @@ def adopt(
                 got=effect,
                 allowed="missionsim calibrate --robot refits it",
             )
-    if effect not in own and get_effect(effect, ("",)).execution:
-        raise InputError.single(
-            f"'{effect}' is how the robot drives, not what it draws: write it under 'behaviour' of the mission or of a "
-            "scheme",
-            got=effect,
-            allowed="effects that add power",
-        )
     seen = examine(subject, split, battery, settings)
     features = seen.features
     if effect in features.untestable:

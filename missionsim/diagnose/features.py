@@ -16,6 +16,7 @@ from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates
 from missionsim.effects.library import FLOORS, all_effects, execution_effects, floors_effect, logged_power_columns
 from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.errors import InputError
 from missionsim.fit.prepare import never_on, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import (
@@ -26,6 +27,7 @@ from missionsim.identify.settings import (
     SPEED_NOISY,
     SPEED_ROWS,
 )
+from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name, remarks_on
 from missionsim.runs.run import Run
@@ -128,6 +130,7 @@ def make_features(
             untestable[id] = tuple(name for name in floors_effect(id, ()).needs if name not in names)
     for effect in execution_effects():
         untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
+    _refuse_nonsense([effect for effect in own if effect.id in effects], covariates)
     steady: dict[str, float] = {}
     if ready.unknown_w:
         # of the base parameters that are a constant power wherever they act
@@ -266,6 +269,29 @@ def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float) -> Ca
         plausible=effect.coefficient.plausible if not effect.recovers or "body_mass_kg" in runs[0] else math.inf,
         shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape and spec.name in shape[0]},
     )
+
+
+def _refuse_nonsense(own: Sequence[Effect], runs: Sequence[Covariates]) -> None:
+    """Refuse a user's formula that gives no number where all that it reads is known: as power it would spoil a run."""
+    faults = []
+    for effect in own:
+        bad = rows = 0
+        for cov in runs:
+            numbers = [np.asarray(cov[name], dtype=float) for name in effect.needs if not isinstance(cov[name], Labels)]
+            known = np.isfinite(np.broadcast_arrays(cov["time_s"], *numbers)).all(axis=0)
+            power = effect.alone(
+                cov, {spec.name: spec.default for spec in effect.shape} | {effect.coefficient.name: 1.0}
+            )
+            bad += int(np.sum(known & ~np.isfinite(np.asarray(power, dtype=float))))
+            rows += int(np.sum(known))
+        if bad:
+            told, allowed = (
+                f"'{effect.id}' gives no number in {bad} of {rows} rows",
+                "a formula that is finite in every row",
+            )
+            faults.append(effect.place.fault(told, got=effect.equation, allowed=f"{allowed} (no division by nought?)"))
+    if faults:
+        raise InputError(faults)
 
 
 def _column(effect: Effect, cov: Covariates, shape: Mapping[str, float], level: str = "", size: float = 1.0) -> Array:

@@ -77,6 +77,18 @@ def called(finding: Finding) -> str:
     return law_name(finding.effect) if finding.level == PROPOSED else finding.effect
 
 
+def check_formula(formula: str) -> None:
+    """Refuse a law of the user's own that cannot be read or is not ``k * …``."""
+    expression = compile_expression(formula, file="--formula")
+    if "k" not in expression.names:
+        told = "the formula has no coefficient k"
+    elif not expression.proportional_to("k"):
+        told = "the formula is not proportional to k, which is fitted"
+    else:
+        return
+    raise InputError.single(told, file="--formula", got=formula, allowed="k * …, such as 'k * abs(yaw_rate_rad_s)'")
+
+
 def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
     """The text of a robot file with a law as a candidate of its own, and the candidate's name.
 
@@ -86,9 +98,7 @@ def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
     from missionsim.inputs import edit
     from missionsim.inputs.loading import robot_from_text
 
-    expression = compile_expression(formula)
-    if "k" not in expression.names:
-        raise InputError.single("the formula has no coefficient k", got=formula, allowed="'k * abs(yaw_rate_rad_s)'")
+    check_formula(formula)
     held = {effect.name for effect in robot_from_text(text).effects}
     name = law_name(formula)
     while name in held:

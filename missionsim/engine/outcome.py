@@ -67,7 +67,8 @@ def edges_driven(
         else:
             spans.append([first, stop])
         last, reached_m = leg, leg.edge.to_m
-    total = {name: np.sum(list(terms.values()), axis=0) / 3600.0 for name, terms in energies.items()}
+    nothing = np.zeros(len(leg_of))  # a battery that feeds nothing has no terms
+    total = {name: np.sum([nothing, *terms.values()], axis=0) / 3600.0 for name, terms in energies.items()}
     sums = {name: [0.0, *np.cumsum(wh).tolist()] for name, wh in total.items()}
     charges = {name: charge.tolist() for name, charge in charge_wh.items()}
     start_s, end_s, segment = line.start_s.tolist(), (line.start_s + line.duration_s).tolist(), line.segment.tolist()

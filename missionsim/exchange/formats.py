@@ -11,6 +11,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.exchange import gpx, graph, nav2, qgc, rmf_building, vda5050
 from missionsim.exchange.site import Site, SiteOptions, clean
 from missionsim.exchange.source import Faults, Value, parse_xml, read_document, read_text
+from missionsim.inputs.tree import as_written
 
 
 def _is_order(data: dict[str, Any]) -> bool:
@@ -39,22 +40,22 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
 
     Raises InputError: all faults of the file, with lines; a file of no known format.
     """
-    text = read_text(path)
+    text = read_text(path).lstrip("\ufeff")
     name = clean(Path(path).name.split(".")[0]) or "site"
     site, faults = Site(str(path), "", name, options or SiteOptions()), Faults(str(path))
     if text.startswith("QGC WPL"):
         site.format = "QGroundControl waypoints"
         qgc.read_text(text, site)
         return site
-    if text.lstrip("\ufeff \t\r\n").startswith("<"):
-        root = parse_xml(text.lstrip("\ufeff"), site.file)
+    if text.lstrip().startswith("<"):
+        root = parse_xml(text, site.file)
         if root.tag == "gpx":
             site.format = "GPX"
             gpx.read(root, site, faults)
             faults.stop()
         elif root.tag == "graphml":
             site.format = "GraphML"
-            graph.read_graphml(root, text.lstrip("\ufeff"), site)
+            graph.read_graphml(root, text, site)
         else:
             raise InputError(Fault(site.file, root.line, 0, "no format that is known", "", f"<{root.tag}>", KNOWN))
         return site
@@ -77,5 +78,4 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
             return site
     if "rmf_fleet" in known:
         raise InputError(Fault(site.file, 1, 1, "a fleet, not a site", allowed="missionsim import-robot"))
-    keys = ", ".join(list(map(str, known))[:6]) if isinstance(data, dict) else type(data).__name__
-    raise InputError(Fault(site.file, 1, 1, "no format that is known", got=f"a file with {keys}"[:120], allowed=KNOWN))
+    raise InputError(Fault(site.file, 1, 1, "no format that is known", got=as_written(data), allowed=KNOWN))

@@ -210,6 +210,8 @@ def export_costs(
     remarks = ["starts, stops and turns are not in the costs: a route knows them, an edge does not"]
     if len(told) < len(wanted):
         remarks.append(f"{len(wanted) - len(told)} edges from a node to itself stay as they are")
+    if speed is not None and speed > top:
+        remarks.append(f"the robot's top speed, {top:g} m/s, holds: {speed:g} m/s is above it")
     if negative:
         remarks.append(
             f"{negative} edges give energy back: their cost is 0, since the route server takes no negative one"

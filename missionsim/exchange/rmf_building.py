@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from missionsim.exchange.site import EARTH_M, Site, clean
@@ -34,6 +34,8 @@ class _Level:
     scale: float = 1.0
     turn: complex = 1.0
     shift: complex = 0.0
+    _: KW_ONLY
+    graphs: set[str] = field(default_factory=set)
 
     def at(self, point: complex) -> complex:
         """Metres of a point of the file."""
@@ -53,6 +55,9 @@ def read(root: Value, site: Site) -> None:
     flip = -1.0 if system in ("reference_image", "web_mercator") else 1.0
     for level in levels.values():
         _read_level(level, site, flip)
+    graphs = {graph for level in levels.values() for graph in level.graphs}
+    if (wanted := site.options.graph) is not None and str(wanted) not in graphs:
+        root.fault(f"no lane is of graph {wanted}", ", ".join(sorted(graphs)) or "a map with lanes")
     if not levels:
         root.fault("a building without levels", "levels: {L1: …}")
     if not levels or root.faults.found:
@@ -86,7 +91,8 @@ def _read_level(level: _Level, site: Site, flip: float) -> None:
         if len(ends) < 2 or ends[0] is None or ends[1] is None:
             continue
         parameters = _parameters(parts[2]) if len(parts) > 2 else {}
-        if site.options.graph is None or parameters.get("graph_idx", 0) == site.options.graph:
+        level.graphs.add(str(parameters.get("graph_idx", 0)))
+        if str(site.options.graph) in ("None", str(parameters.get("graph_idx", 0))):
             level.lanes.append((ends[0], ends[1], parameters, lane))
     _left(level.value, _LEVEL_USED, site)
     if (height := level.value.get("elevation")) and height.data:

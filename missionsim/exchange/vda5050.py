@@ -281,6 +281,10 @@ def order_of(
 
     if version not in VERSIONS:
         raise InputError.single("a version that is not written", got=version, allowed=", ".join(VERSIONS))
+    if timestamp and not _is_timestamp(timestamp):
+        raise InputError.single(
+            "a time stamp that an order cannot have", got=timestamp, allowed="ISO 8601 in UTC: 2026-01-01T00:00:00.000Z"
+        )
     newer = version.startswith("3")
     stops, remarks = stops_of(mission)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
@@ -314,6 +318,13 @@ def order_of(
             "the action 'wait' (key duration, s) is ours: the specification names no action that waits a time"
         )
     return {**head, "nodes": nodes, "edges": edges}, tuple(remarks)
+
+
+def _is_timestamp(text: str) -> bool:
+    try:
+        return text.endswith("Z") and len(text) >= 20 and datetime.fromisoformat(text).tzinfo is not None
+    except ValueError:
+        return False
 
 
 def _action(identity: str, kind: str, **parameters: float) -> dict[str, Any]:

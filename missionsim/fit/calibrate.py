@@ -201,6 +201,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     parameters = sorted(
         n for n in formula.names if not (n in ALIASES or n in shared or column_of(n) is not None or n in FUNCTIONS)
     )
+    if not parameters:
+        raise InputError.single(
+            "--base has no parameter that could be fitted", got=robot.base, allowed="names of your own: 'c3*v + c4'"
+        )
     standing = all("speed_m_s" in log.columns for log in logs)
     if standing:
         rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)

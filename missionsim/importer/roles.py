@@ -250,11 +250,12 @@ def guess_all(fields: Sequence[Field]) -> dict[str, Guess]:
 
 def guess_role(field: Field, role: Role) -> Guess | None:
     """How well a field fits a role; None where it does not."""
-    known = column_of(field.name)
+    known, text = column_of(field.name), isinstance(field.values, Labels)
+    if known is not None and text != (role.dimension == "text") and role.name != "time":
+        return None
     if known is not None and not ("<" in known[0].name and re.search(role.avoid, known[1].replace("_", " "))):
         own = WORDS["columns"].get(known[0].name)
         return Guess(role.name, field.name, "", 3.0, "a name of the glossary", "sure") if own == role.name else None
-    text = isinstance(field.values, Labels)
     words, unit = words_of(field.name)
     typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")
     if not unit and role.name in ("left", "right") and re.search(r"\brpm\b", words):

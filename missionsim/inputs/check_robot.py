@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.expressions import compile_expression
 from missionsim.inputs.checker import Checker
 from missionsim.inputs.robot import RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Where
@@ -185,7 +186,13 @@ def _effects(check: Checker, robot: RobotSpec) -> None:
             allowed = "body: {mass: …}, unless k was fitted without it"
             check.add((*where, "effect"), message, "no body.mass", allowed, warning=True)
         if effect.power is not None:
+            before = len(check.faults)
             check.formulas({(*where, "power"): effect.power}, effect.parameters, effect.parameters)
+            first = next(iter(effect.parameters), "")
+            alone = effect.candidate and first and len(check.faults) == before
+            if alone and not compile_expression(effect.power).proportional_to(first):
+                message = f"the power is not proportional to '{first}', the first parameter, which is fitted"
+                check.add((*where, "power"), message, effect.power[:80], f"{first} * …")
             continue
         from missionsim.effects.library import effect_ids, get_effect
 

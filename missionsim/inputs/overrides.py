@@ -88,7 +88,9 @@ def resolve(data: object, path: str) -> tuple[str | int, ...] | Fault:
                 result.append(joined)
                 here = here[joined]
                 continue
-            if len(keys) <= 2:
+            # one of several things with names of their own (batteries, components): a misspelt name makes no new one
+            named = bool(here) and all(isinstance(item, dict) for item in here.values())
+            if len(keys) <= 2 and not (len(keys) == 2 and named and did_you_mean(key, here)):
                 return (*result, *keys)
             names = list(here)
         elif isinstance(here, list):

@@ -233,7 +233,8 @@ class QuantityOf:
         if value is None and low is not None and high is not None:
             value = (low + high) / 2
         if value is None:
-            issues.tell("no value", as_written(raw), "value, low and high, or a distribution")
+            if not any(issue["hint"] in ("value", "low", "high", "distribution") for issue in issues):  # misspelt
+                issues.tell("no value", as_written(raw), "value, low and high, or a distribution")
             return None
         if (low is not None and value < low) or (high is not None and value > high):
             allowed = f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}"

@@ -39,7 +39,9 @@ def validate_document(document: Document, model: type[Loaded], faults: list[Faul
             result = model.model_validate(shape, context=context)
         except ValidationError as problem:
             told = [found for error in problem.errors(include_url=False) for found in _told(error, view, model, shape)]
-            faults += [fault for path, fault, _ in told if not view.is_faulty(path, below=True)]
+            # a key that is missing because it is misspelt is one mistake
+            meant = {(*path[:-1], fault.hint) for path, fault, _ in told if fault.message.startswith("unknown key")}
+            faults += [fault for path, fault, _ in told if path not in meant and not view.is_faulty(path, below=True)]
             edits: _Edits = {}
             drops: list[Where] = []
             faulty = dict(view.faulty)
@@ -203,7 +205,8 @@ def _told(
         message = "text too short" if "short" in kind else "text too long"
         allowed = f"{context.get('min_length', context.get('max_length'))} characters"
     else:
-        message = error["msg"][:1].lower() + error["msg"][1:]
+        message = error["msg"].removeprefix("Value error, ")
+        message = message[:1].lower() + message[1:]
     return [(path, document.fault(at, message, got=got, allowed=allowed, hint=hint, key=key), word)]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.errors import Fault
+from missionsim.errors import Fault, InputError
 from missionsim.files import Json, write_text
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.loading import Override, load_robot, load_task
@@ -72,7 +72,13 @@ def reach_task(
     with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
         path = Path(folder) / "reach.yaml"
         write_text(path, "".join(f"{key}: {flow(value)}\n" for key, value in data.items()))
-        return load_task(path, list(overrides), None)
+        try:
+            return load_task(path, list(overrides), None)
+        except InputError as problem:  # nobody knows this file
+            raise InputError(
+                replace(fault, file="", line=0, column=0) if fault.file == str(path) else fault
+                for fault in problem.faults
+            ) from None
 
 
 def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] = lambda: None) -> list[Reached]:

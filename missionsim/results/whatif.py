@@ -135,6 +135,11 @@ def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[st
     """Every combination of varied values, each on top of what the baseline sets. `base`: what the baseline sets. Raises
     InputError: for more combinations than `MOST_ALTERNATIVES`."""
     pairs = list(vary)
+    names = [path for path, _ in pairs]
+    if twice := [path for path in dict.fromkeys(names) if names.count(path) > 1]:
+        raise InputError.single(
+            "varied more than once; only the last would hold", got=", ".join(twice), allowed="all values in one --vary"
+        )
     count = math.prod(len(values) for _, values in pairs)
     if count > MOST_ALTERNATIVES:
         raise InputError.single(

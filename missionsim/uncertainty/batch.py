@@ -41,6 +41,7 @@ BLOCK_RUNS = {"simpy": 50, "arrays": 8192}
 """Runs in a block, at most; the mission alone decides, so that tables do not depend on the number of workers."""
 BLOCK_NUMBERS = {"simpy": 200_000, "arrays": 8_000_000}
 """Runs × (intervals and uncertain values) in a block, at most: memory does not grow with a mission's length."""
+MOST_RUNS, MOST_WORKERS = 10**9, 1024
 MOST_LOST = 3
 """So often a lost worker process is replaced."""
 

@@ -29,7 +29,7 @@ class BlockStore:
 
     def path(self, first: int) -> Path:
         """File of the block that begins with run `first`."""
-        return self.folder / "blocks" / f"runs_{first:09d}.parquet"
+        return self.folder.absolute() / "blocks" / f"runs_{first:09d}.parquet"  # Arrow takes ~ for a home
 
     def has(self, first: int) -> bool:
         """Whether that block is there, whole."""

@@ -212,7 +212,7 @@ def test_improve_leaves_out_what_it_is_told_to(
     battery = json.loads((tmp_path / "w.json").read_text(encoding="utf-8"))["batteries"]["robot"]
     assert "turning_scrub" not in battery["added"]
     assert "turning_scrub" in battery["declined"]
-    said = capsys.readouterr().out
+    said = capsys.readouterr().err
     assert "--without grade: nothing of that name was about to be added" in said
     assert "--without turning_scrub: " not in said
 

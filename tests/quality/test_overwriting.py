@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import read_call, run_command
-from missionsim.cli.options import Call, check_targets
+from missionsim.cli.options import Call
+from missionsim.cli.targets import check_targets
 from missionsim.errors import InputError
 from missionsim.logs import read_log
 from missionsim.logs.blocks import write_log
@@ -66,7 +67,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
         ("compare --robot bot.yaml logs --json bot.yaml", "--json would overwrite an input of this command"),
         ("compare --robot=bot.yaml logs --json=./logs/../bot.yaml", "--json would overwrite an input"),
         ("compare --robot bot.yaml logs --json link.yaml", "--json would overwrite an input"),
-        ("compare --robot link.yaml logs --report bot.yaml", "--report would overwrite an input"),
+        ("compare --robot link.yaml logs --report bot.yaml", "--report is a page"),
         ("compare --robot bot.yaml logs --mission errand.yaml --json errand.yaml", "--json would overwrite an input"),
         ("compare --robot bot.yaml logs --out folder", "--out is a folder of logs"),
         ("compare --robot bot.yaml logs --report x.html --json x.html", "--report and --json are the same path"),
@@ -84,7 +85,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
         ("run errand.yaml --json errand.yaml", "--json would overwrite an input"),
         ("run errand.yaml --json bot.yaml", "--json would overwrite an input of this command, which errand.yaml names"),
         ("run errand.yaml --set robot=link.yaml --json bot.yaml", "--json would overwrite an input"),
-        ("whatif --study study.yaml --out bot.yaml", "--out would overwrite an input"),
+        ("whatif --study study.yaml --out bot.yaml", "--out is a table"),
         ("montecarlo errand.yaml --runs 5 --json errand.yaml", "--json would overwrite an input"),
         ("validate bot.yaml logs --json bot.yaml", "--json would overwrite an input"),
         ("import logs/r1.csv --map map.yaml --out logs/r1.csv", "--out would overwrite an input"),
@@ -135,9 +136,7 @@ def test_parquet_logs_are_not_imported_into_themselves(world: Path, capsys: pyte
 
 def test_all_clashes_are_told_at_once(world: Path) -> None:
     with pytest.raises(InputError) as caught:
-        check_targets(
-            call_of(["compare", "--robot", "bot.yaml", "logs", "--json", "bot.yaml", "--report", "logs/r1.csv"])
-        )
+        check_targets(call_of(["compare", "--robot", "bot.yaml", "logs", "--json", "bot.yaml", "--out", "logs"]))
     assert len(caught.value.faults) == 2
 
 
