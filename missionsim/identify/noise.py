@@ -29,8 +29,11 @@ START_ROWS = 40
 APART = np.abs(np.subtract.outer(np.arange(START_ROWS), np.arange(START_ROWS)))
 FILLED = 0.8
 """Stretches are filtered together, filled up with zeros to the longest, as long as they fill this part themselves."""
-NO_DENORMALS = 1e-170
-"""Where rows are zero for long the filter fades into numbers that processors are slow with; its square is no number."""
+BLOCK = 32
+"""Rows that are filtered by one product of matrices."""
+NO_DENORMALS, NO_DENORMALS_IN_FILTER = 1e-170, 1e-100
+"""Where rows are zero for long the filter fades into numbers that processors are slow with; the first's square is no
+number, the product of both is one."""
 Shape = tuple[float, float, float, float, float]
 """Analysis step, fast and slow correlation time [s], shares of the variance of both."""
 
@@ -82,51 +85,88 @@ def start_factor(
     return np.ascontiguousarray(dtrtri(factor, lower=1)[0]), diagonal, excess
 
 
-def recursive(ma: tuple[float, float, float], rows: Array) -> Array:
-    """The y of ``y[n] + ma[1] y[n-1] + ma[2] y[n-2] = rows[n]`` along the last axis, with nothing before; `rows` are
-    overwritten.
+@lru_cache(maxsize=16)
+def block_filter(shape: Shape, block: int = BLOCK) -> Array:
+    """The recursive filter over a block of rows as one matrix: from these rows and the filter's two states before them
+    to its answers and the two states after them, shape (block + 2, block + 2)."""
+    ar, ma, _ = arma_of(*shape)
+    unit = np.eye(block + 2)
+    out = np.empty((block + 2, block + 2))
+    first, second = unit[block], unit[block + 1]
+    for n in range(block):
+        answer = out[n] = unit[n] + first
+        first, second = ar[1] * unit[n] - ma[1] * answer + second, ar[2] * unit[n] - ma[2] * answer
+    out[block:] = first, second
+    out[np.abs(out) < NO_DENORMALS_IN_FILTER] = 0.0
+    return np.ascontiguousarray(out.T)
 
-    A triangular band of equations, since SciPy's filters take half a second to import.
-    """
-    from scipy.linalg.lapack import dtbtrs
 
-    length = rows.shape[-1]
-    band = np.repeat(np.asarray(ma)[:, None], length, axis=1)
-    found, _ = dtbtrs(band, rows.reshape(-1, length).T, uplo="L", diag="U", overwrite_b=True)
-    return np.asarray(found.T.reshape(rows.shape))
+def states_after(shape: Shape, rows: Array, white: Array) -> Array:
+    """The filter's two states after two rows and their innovations, the older first, each shape (k, 2)."""
+    ar, ma, _ = arma_of(*shape)
+    return np.stack([rows @ ar[:0:-1] - white @ ma[:0:-1], ar[2] * rows[:, 1] - ma[2] * white[:, 1]], axis=1)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Stretches side by side: rows (stretches, k, longest), roots of the weights (stretches, 1, longest), 0 beyond
+    """Stretches side by side, their first `START_ROWS` rows (stretches, k, at most START_ROWS) and the others in whole
+    blocks (stretches, k, a multiple of BLOCK), each with the roots of the weights (stretches, 1, as many), 0 beyond
     the end of a stretch, and where each stretch came from."""
 
-    rows: Array
-    root: Array
+    head: Array
+    head_root: Array
+    tail: Array
+    tail_root: Array
     parts: tuple[slice, ...]
     run: NDArray[np.intp]
     alone: bool
     """No two of the stretches lie in one run."""
 
+    @classmethod
+    def of(cls, rows: Array, root: Array, parts: Sequence[slice], begins: NDArray[np.intp]) -> Group:
+        """Cut `parts` out of rows (k, n) with the roots of their weights (n,); runs begin at `begins`."""
+        longest = max(part.stop - part.start for part in parts)
+        begun = min(START_ROWS, longest)
+        whole = begun + -(-(longest - begun) // BLOCK) * BLOCK
+        own = np.full((len(parts), len(rows), whole), NO_DENORMALS)
+        roots = np.zeros((len(parts), 1, whole))
+        for i, part in enumerate(parts):
+            own[i, :, : part.stop - part.start] = rows[:, part]
+            roots[i, 0, : part.stop - part.start] = root[part]
+        at = np.searchsorted(begins, [part.start for part in parts], side="right") - 1
+        cut = (np.ascontiguousarray(x) for x in (*np.split(own, [begun], axis=2), *np.split(roots, [begun], axis=2)))
+        head, tail, head_root, tail_root = cut
+        return cls(head, head_root, tail, tail_root, tuple(parts), at, len(set(at.tolist())) == len(at))
+
     def filtered(self, shape: Shape) -> tuple[Array, Array]:
-        """White rows of unit variance, weighted: the first `START_ROWS` and the others."""
-        ar, ma, ratio = arma_of(*shape)
+        """White rows of unit variance, weighted: the first `START_ROWS` and the others.
+
+        Blocks are products of matrices, of all rows at once; what a block needs of those before it are two states.
+        """
+        from scipy.linalg.blas import dgemm
+
         inverse, diagonal, _ = start_factor(*shape)
-        x = self.rows
-        count = min(START_ROWS, x.shape[2])
-        head = x[:, :, :count] @ inverse[:count, :count].T
-        if x.shape[2] > count:
-            tail = ar[2] * x[:, :, count - 2 : -2]
-            tail += ar[1] * x[:, :, count - 1 : -1]
-            tail += x[:, :, count:]
-            e1, e2 = head[:, :, -1] * diagonal[-1], head[:, :, -2] * diagonal[-2]
-            tail[:, :, 0] -= ma[1] * e1 + ma[2] * e2
-            tail[:, :, 1:2] -= ma[2] * e1[:, :, None]
-            tail = recursive(ma, tail)
-            tail *= self.root[:, :, count:]
-        else:
-            tail = x[:, :, count:]
-        head *= self.root[:, :, :count] / ratio
+        count = self.head.shape[2]
+        head = self.head @ inverse[:count, :count].T
+        tail = self.tail
+        if tail.shape[2]:
+            matrix = block_filter(shape)
+            rows = tail.reshape(-1, BLOCK)
+            ends = rows @ matrix[:BLOCK, BLOCK:]
+            states = np.ascontiguousarray(ends.reshape(-1, tail.shape[2] // BLOCK, 2).swapaxes(0, 1))
+            last = (head[:, :, -2:] * diagonal[-2:]).reshape(-1, 2)
+            both = states_after(shape, self.head[:, :, -2:].reshape(-1, 2), last)
+            for block in states:
+                after = both @ matrix[BLOCK:, BLOCK:]
+                after += block
+                block[:] = both
+                both = after
+            past = np.ascontiguousarray(states.swapaxes(0, 1)).reshape(-1, 2)
+            out = (rows @ matrix[:BLOCK, :BLOCK]).T
+            out = dgemm(1.0, matrix[BLOCK:, :BLOCK].T, past.T, 1.0, out, overwrite_c=True)
+            tail = np.asarray(out.T.reshape(tail.shape))
+            tail *= self.tail_root
+        head *= self.head_root / arma_of(*shape)[2]
         return head, tail
 
 
@@ -154,16 +194,7 @@ class Packed:
                 filled = 0
             alike[-1].append(part)
             filled += length
-        groups = []
-        for parts in alike:
-            length = parts[0].stop - parts[0].start
-            own = np.full((len(parts), len(rows), length), NO_DENORMALS)
-            roots = np.zeros((len(parts), 1, length))
-            for i, part in enumerate(parts):
-                own[i, :, : part.stop - part.start] = scaled[:, part]
-                roots[i, 0, : part.stop - part.start] = root[part]
-            at = np.searchsorted(begins, [part.start for part in parts], side="right") - 1
-            groups.append(Group(own, roots, tuple(parts), at, len(set(at.tolist())) == len(at)))
+        groups = [Group.of(scaled, root, parts, begins) for parts in alike]
         return cls(tuple(groups), (rows.shape[0], rows.shape[1]), len(runs))
 
     def blocks(self, shape: Shape) -> Array:

@@ -18,11 +18,12 @@ from missionsim.identify.noise import (
     START_ROWS,
     Noise,
     arma_of,
+    block_filter,
     bounded_noise,
     for_rows,
-    recursive,
     start_factor,
     start_noise,
+    states_after,
 )
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise
@@ -193,13 +194,11 @@ class Sieve:
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
         # factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit
         # in each of `BLOCK` + 1 rows, and to one in the two rows and two innovations before them, the older first
-        ar, ma, ratio = arma_of(*self.shape)
         inverse, diagonal, _ = start_factor(*self.shape)
-        unit = np.eye(BLOCK + 1)
-        answer = recursive(ma, unit + ar[1] * np.eye(BLOCK + 1, k=1) + ar[2] * np.eye(BLOCK + 1, k=2))
-        past = np.zeros((4, BLOCK + 1))
-        past[:, :2] = (ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])
-        echo = recursive(ma, past)
+        matrix = block_filter(self.shape, BLOCK + 1)[:, : BLOCK + 1]
+        answer, ratio = matrix[: BLOCK + 1], arma_of(*self.shape)[2]
+        past = np.eye(4)
+        echo = states_after(self.shape, past[:, :2], past[:, 2:]) @ matrix[BLOCK + 1 :]
         self.filter = tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
         known = self.coarse(rows)
         self.known: Array = np.empty(known.shape)
