@@ -71,16 +71,19 @@ def eliminate_random(blocks: Array, random_sd: Array) -> tuple[Array, Array]:
     return reduced, 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
 
 
-def total_without_random(blocks: Array, random_sd: Array, sigma_w: float) -> tuple[Array, float]:
-    """Sum over the runs of `eliminate_random(blocks / sigma_w**2, random_sd)`, from blocks of unit variance."""
-    r = RANDOM_COUNT
-    sd = np.maximum(random_sd, 1e-12) / sigma_w
-    scaled = blocks[:, -r:, :] * sd[:, None]
-    inner = scaled[:, :, -r:] * sd + np.eye(r)
+def total_without_random(blocks: Array, random_sd: Array, sigma_w: Array) -> tuple[Array, Array]:
+    """Sum over the runs of `eliminate_random(blocks / sigma_w**2, random_sd)`, from blocks of unit variance.
+
+    For several noises at once: blocks (noises, runs, k, k), random_sd (noises, 5), sigma_w (noises,).
+    """
+    r, k = RANDOM_COUNT, blocks.shape[-1]
+    sd = np.maximum(random_sd, 1e-12) / sigma_w[:, None]
+    scaled = blocks[:, :, -r:, :] * sd[:, None, :, None]
+    inner = scaled[:, :, :, -r:] * sd[:, None, None, :] + np.eye(r)
     factor = np.linalg.cholesky(inner)
-    half = np.linalg.solve(factor, scaled[:, :, :-r]).reshape(-1, blocks.shape[1] - r)
-    total = (blocks[:, :-r, :-r].sum(axis=0) - half.T @ half) / sigma_w**2
-    return total, 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+    half = np.linalg.solve(factor, scaled[:, :, :, :-r]).reshape(len(blocks), -1, k - r)
+    total = (blocks[:, :, :-r, :-r].sum(axis=1) - half.swapaxes(1, 2) @ half) / (sigma_w**2)[:, None, None]
+    return total, 2.0 * np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=(1, 2))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,16 +89,30 @@ def start_factor(
 def block_filter(shape: Shape, block: int = BLOCK) -> Array:
     """The recursive filter over a block of rows as one matrix: from these rows and the filter's two states before them
     to its answers and the two states after them, shape (block + 2, block + 2)."""
-    ar, ma, _ = arma_of(*shape)
-    unit = np.eye(block + 2)
+    (_, a1, a2), (_, m1, m2), _ = arma_of(*shape)
+    answers, states = [1.0], [(a1 - m1, a2 - m2)]  # to one row alone
+    faded = [1.0, -m1]  # to the first of the states alone
+    for _ in range(1, block):
+        first, second = states[-1]
+        answers.append(first)
+        states.append((second - m1 * first, -m2 * first))
+        faded.append(-m1 * faded[-1] - m2 * faded[-2])
+    one, all_faded = np.array(answers), np.array(faded)
     out = np.empty((block + 2, block + 2))
-    first, second = unit[block], unit[block + 1]
-    for n in range(block):
-        answer = out[n] = unit[n] + first
-        first, second = ar[1] * unit[n] - ma[1] * answer + second, ar[2] * unit[n] - ma[2] * answer
-    out[block:] = first, second
+    out[:block, :block] = np.concatenate([one, np.zeros(block)])[_ages(block)]
+    out[:block, block:] = states[::-1]
+    out[block, :block], out[block + 1, :block] = all_faded[:block], np.append(0.0, all_faded[: block - 1])
+    out[block:, block] = all_faded[block], all_faded[block - 1]
+    out[block:, block + 1] = -m2 * out[block:, block - 1]
     out[np.abs(out) < NO_DENORMALS_IN_FILTER] = 0.0
-    return np.ascontiguousarray(out.T)
+    return out
+
+
+@cache
+def _ages(block: int) -> NDArray[np.intp]:
+    """How many rows each row of a block (second axis) lies behind each other one; -1 where it lies before it."""
+    behind = np.subtract.outer(np.arange(block), np.arange(block)).T
+    return np.where(behind < 0, -1, behind)
 
 
 def states_after(shape: Shape, rows: Array, white: Array) -> Array:

@@ -103,18 +103,29 @@ class _Likelihood:
         """Innovation, offset, gain and motion gain; see `Noise`."""
         return [*np.exp(x[4:]).tolist(), *self.still]
 
-    def __call__(self, x: Array, blocks: Array) -> float:
-        shape, (sigma_w, *between) = self.shape(x), self.levels(x)
-        total, log_det = total_without_random(blocks, np.array([*between, JITTER_SD_S, LAG_JITTER_SD_S2]), sigma_w)
-        inner = total[1 : self.fixed, 1 : self.fixed]
-        inner.flat[:: self.fixed] += self.precision
+    def __call__(self, places: Array | Sequence[Array], blocks: Array) -> Array:
+        """Of several noises at once, each with its blocks, shape (noises, runs, k, k)."""
+        levels = np.array([[*self.levels(x), JITTER_SD_S, LAG_JITTER_SD_S2] for x in places])
+        total, log_det = total_without_random(blocks, levels[:, 1:], levels[:, 0])
+        inner = total[:, 1 : self.fixed, 1 : self.fixed]
+        inner[:, range(self.fixed - 1), range(self.fixed - 1)] += self.precision
         try:
             factor = np.linalg.cholesky(inner)
         except np.linalg.LinAlgError:
-            return np.inf  # noise so small that the numbers run out, as a constant meter makes it: not a better fit
-        half = np.linalg.solve(factor, total[1 : self.fixed, 0])
-        rss = float(total[0, 0] - half @ half)
-        det = 2.0 * float(np.log(factor.diagonal()).sum()) - self.log_precision
+            # noise so small that the numbers run out, as a constant meter makes it, is no better fit
+            if len(places) == 1:
+                return np.array([np.inf])
+            return np.concatenate([self([x], own) for x, own in zip(places, blocks[:, None], strict=True)])
+        half = np.linalg.solve(factor, total[:, 1 : self.fixed, :1])[:, :, 0]
+        rss = total[:, 0, 0] - np.sum(half**2, axis=1)
+        det = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - self.log_precision
+        own = np.array(
+            [self._of_noise(self.shape(x), *row[:4]) for x, row in zip(places, levels.tolist(), strict=True)]
+        )
+        return np.asarray(log_det + rss + det + own)
+
+    def _of_noise(self, shape: Shape, sigma_w: float, offset_w: float, gain: float, motion_gain: float) -> float:
+        """What a noise costs whatever the rows are: its size, the start of every stretch, and the priors."""
         start = self.stretches * start_factor(*shape)[2]
         h, fast_s, slow_s, fast_share, slow_share = shape
         white = max(1e-6, 1 - fast_share - slow_share)
@@ -124,12 +135,12 @@ class _Likelihood:
             math.log(fast_share / white) - 0.5,
             math.log(slow_share / white) + 1.5,
             0.0,
-            math.log(between[0] / (0.005 * self.power)),
-            math.log(between[1] / 0.005),
-            math.log(between[2] / 0.005),
+            math.log(offset_w / (0.005 * self.power)),
+            math.log(gain / 0.005),
+            math.log(motion_gain / 0.005),
         )
-        prior = float(np.sum((off / PRIOR_SD) ** 2))
-        return self.count * math.log(sigma_w**2) + log_det + rss + det + start + prior
+        prior = math.fsum((distance / sd) ** 2 for distance, sd in zip(off, PRIOR_SD.tolist(), strict=True))
+        return self.count * math.log(sigma_w**2) + start + prior
 
     def information(self, x: Array, blocks: Array) -> Array:
         """Expected curvature: of the filter from its spectrum (Whittle 1953), of the levels from what the runs say of
@@ -165,16 +176,14 @@ def _fitted(cost: _Likelihood, noise: Noise, rows: Blocks, enough: float) -> Noi
     low, high = cost.low, cost.high
 
     def gradient(x: Array, value: float, blocks: Array) -> Array:
-        out = np.empty(len(x))
-        for i in range(len(x)):
-            near = x.copy()
-            near[i] += STEP if x[i] + STEP < high[i] else -STEP
-            out[i] = (cost(near, rows.at(cost.shape(near)) if i < 4 else blocks) - value) / (near[i] - x[i])
-        return out
+        step = np.where(x + STEP < high, STEP, -STEP)
+        near = x + np.diag(step)
+        every = np.stack([rows.at(cost.shape(place)) if i < 4 else blocks for i, place in enumerate(near)])
+        return np.asarray((cost(near, every) - value) / (near.diagonal() - x))
 
     x = cost.place(noise)
     blocks = rows.at(cost.shape(x))
-    value = cost(x, blocks)
+    value = float(cost([x], blocks[None])[0])
     slope, curve = gradient(x, value, blocks), cost.information(x, blocks)
     for _ in range(MOST_STEPS):
         free = ~((x <= low) & (slope > 0.0) | (x >= high) & (slope < 0.0))
@@ -184,7 +193,7 @@ def _fitted(cost: _Likelihood, noise: Noise, rows: Blocks, enough: float) -> Noi
         for _ in range(MOST_HALVINGS):
             there = np.clip(x + step, low, high)
             blocks = rows.at(cost.shape(there))
-            found = cost(there, blocks)
+            found = float(cost([there], blocks[None])[0])
             step = there - x
             promised = -float(slope @ step)
             if found < value or promised < enough:

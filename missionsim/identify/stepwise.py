@@ -82,7 +82,8 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
             options.append((value, Choice(fitted, found.empty, evidence)))
         else:
             refused.update({c: e for c, e in evidence.items() if c not in model.chosen and not e.accepted})
-    for _, best in sorted(options, key=lambda one: -one[0]):
+    # of twins, which differ by rounding, the one that the library has first, on every machine
+    for _, best in sorted(options, key=lambda one: (-round(one[0], 6), one[1].model.chosen)):
         # the noise without an effect had swallowed it, and a fit that begins there may stay there
         fresh = fit_model(source, best.model.chosen)
         if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence, Set
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -57,10 +57,14 @@ SYMBOLS = {
 }
 
 
+_compiled = lru_cache(maxsize=4096)(compile_expression)
+"""Every run asks for the same formulas."""
+
+
 def evaluate(formula: str, cov: Covariates, rows: int) -> Array:
     """Value of a formula (for k = 1, where it has one), shape (rows,)."""
     past = {REMEMBERED: lambda _, x, tau: lagged(x, np.asarray(cov["time_s"], dtype=float), tau)}
-    value = compile_expression(formula).evaluate({**cov, **past, "k": 1.0})
+    value = _compiled(formula).evaluate({**cov, **past, "k": 1.0})
     return np.broadcast_to(np.asarray(value, dtype=float), (rows,))
 
 

@@ -191,7 +191,9 @@ def test_the_sum_without_random_effects_is_that_of_the_single_runs() -> None:
     noise = replace(start_noise(design), sigma_w=0.7)
     blocks = raw_blocks(design, noise, design.residual[None, :], [0, 1])
     reduced, log_det = eliminate_random(blocks, noise.random_sd())
-    total, whole_det = total_without_random(blocks * 0.7**2, noise.random_sd(), 0.7)
+    every = [np.array([one, one]) for one in (blocks * 0.7**2, noise.random_sd(), 0.7)]
+    (total, same), (whole_det, _) = total_without_random(*every)
+    assert np.array_equal(total, same)
     assert total == pytest.approx(reduced.sum(axis=0), rel=1e-9, abs=1e-9 * np.abs(total).max())
     assert whole_det == pytest.approx(log_det.sum(), rel=1e-10)
     # the clock's random effects are rows of the gradient as well, whitened once only
