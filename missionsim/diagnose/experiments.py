@@ -118,7 +118,8 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
     scored = []
     for manoeuvre in library(bench.site):
         gram = bench.imagined(manoeuvre)
-        scored.append((worst_lead(bench, constraints, gram, names), manoeuvre))
+        # what rounding alone tells apart stays in the library's order
+        scored.append((round(worst_lead(bench, constraints, gram, names), 6), manoeuvre))
     # among those that will do, one that varies a single cause of the set speaks for itself
     scored.sort(key=lambda pair: (-min(pair[0], ENOUGH_NATS), len(pair[1].varies & about) != 1, -pair[0]))
     found = []
