@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from missionsim.files import Json, fields_of, write_text
+from missionsim.numerals import rounded, watts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -204,7 +205,7 @@ def compare(
 
     found = compare_files(robot, logs, mission=mission, by=by)
     _warn(found.left_out)
-    told = [f"{name} {b.energy_error_pct:+.2f} %, {b.power_rmse_w:.3g} W" for name, b in found.batteries.items()]
+    told = [f"{name} {b.energy_error_pct:+.2f} %, {watts(b.power_rmse_w)}" for name, b in found.batteries.items()]
     rows = [{"battery": name, **run.to_json()} for name, b in found.batteries.items() for run in b.runs]
     line = f"{found.robot}: error {'; '.join(told)}"
     return Answer(found, line, lambda: rows, found.to_json, ("run", "energy_error_pct"))
@@ -299,7 +300,9 @@ def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Ans
     done = refit_robot(str(robot), runs, battery)
     keys = "name value sd before unit"
     rows = [{"battery": f.battery, **fields_of(p, keys)} for f in done.fits for p in f.parameters.values()]
-    line = "; ".join(f"{f.battery}: {f.before.power_rmse_w:.3g} to {f.after.power_rmse_w:.3g} W" for f in done.fits)
+    line = "; ".join(
+        f"{f.battery}: {rounded(f.before.power_rmse_w)} to {watts(f.after.power_rmse_w)}" for f in done.fits
+    )
     fits = {fit.battery: fit.to_json() for fit in done.fits}
     data = {"schema": "missionsim.calibration/1", "batteries": fits, "remarks": list(done.remarks)}
     return Answer(done, line, lambda: rows, lambda: data, ("name", "value"), done.text)

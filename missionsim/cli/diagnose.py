@@ -25,6 +25,7 @@ from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
+from missionsim.numerals import meter_clock, rounded, watts
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
 
@@ -157,7 +158,7 @@ def improve(
         terminal.print(words.found_line(finding))
         before_w, after_w = finding.heldout_rmse_before_w, finding.heldout_rmse_after_w
         if before_w is not None and after_w is not None:
-            terminal.print(f"power error on held-out runs {before_w:.3g} -> {after_w:.3g} W")
+            terminal.print(f"power error on held-out runs {rounded(before_w)} → {watts(after_w)}")
         asked = f"add {finding.effect} to battery {diagnosis.battery}?"
         return Confirm.ask(asked, default=True, console=terminal)
 
@@ -197,7 +198,7 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
         rows = []
         for step in one.steps:
             bar = "█" * max(1, round(18 * step.power_rmse_w / most))
-            rows.append((step.name, f"{step.energy_error_pct:.2f}", f"{step.power_rmse_w:.3g}", bar))
+            rows.append((step.name, f"{step.energy_error_pct:.2f}", rounded(step.power_rmse_w), bar))
         if one.worse:
             terminal.print(one.worse, style="bold red")
         if better:
@@ -308,7 +309,7 @@ def add_effect(
             terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()))
         if any(made.meter):
             delay_s, lag_s = made.meter
-            terminal.print(f"meter: {delay_s:+.2f} s behind the motion, lag {lag_s:.2f} s; compare shows the model so")
+            terminal.print(f"meter: {meter_clock(delay_s, lag_s)}; compare shows the model so")
         if made.heldout is not None:
             terminal.print("held out: " + heldout_line(made.heldout))
         terminal.print(f"written: {out}")

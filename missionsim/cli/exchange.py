@@ -19,6 +19,7 @@ from missionsim.exchange.site import SiteOptions, write_site
 from missionsim.exchange.vda5050 import order_of
 from missionsim.files import atomic_write, to_json, write_text
 from missionsim.inputs.loading import load_mission, load_robot, robot_from_text
+from missionsim.numerals import rounded
 from missionsim.report.terminal import console, show_table
 
 app = App(name="export", help="Write our numbers and missions into the files of other tools.")
@@ -109,7 +110,7 @@ def rmf(config: Path, /, *logs: Path, robot: str, out: OutFile, battery: str = "
         ]
         show_table("Numbers", ["key", ">before", ">after"], rows)
         if found.errors:
-            rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", f"{e['power_rmse_w']:.3g}") for e in found.errors]
+            rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", rounded(e["power_rmse_w"])) for e in found.errors]
             show_table("On the logs", ["formula", ">energy error", ">power RMSE W"], rows)
         _tell("", found.remarks, out)
     return 0

@@ -11,6 +11,7 @@ from missionsim.compare.behaviour import MissionGap
 from missionsim.compare.where import Dependence, Series, Where, in_words
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of, sha256
+from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.error import Errors, ErrorStatistics, RunError
 
@@ -112,9 +113,8 @@ class BatteryComparison(RunError):
     def words(self) -> list[str]:
         """The verdict in sentences."""
         error = self.energy_error_pct
-        power = (
-            f"its power is off by {self.power_rmse_w:.3g} W (root mean square), {self.power_bias_w:+.3g} W on average."
-        )
+        off, bias = watts(self.power_rmse_w), watts(self.power_bias_w, sign=True)
+        power = f"its power is off by {off} (root mean square), {bias} on average."
         if math.isfinite(error) and self.energy_measured_wh > 0.0:
             way = "more" if error > 0.0 else "less"
             count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
@@ -122,8 +122,8 @@ class BatteryComparison(RunError):
                 f"Over {count} the model gives {abs(error):.1f} % {way} energy than was measured on battery "
                 f"{self.battery}; {power}"
             )
-            if off := thousandfold(self.energy_measured_wh, self.energy_model_wh):
-                first += f" Measured is about {off} of modelled: is the meter's unit the watt?"
+            if factor := thousandfold(self.energy_measured_wh, self.energy_model_wh):
+                first += f" Measured is about {factor} of modelled: is the meter's unit the watt?"
         elif math.isfinite(error):
             first = (
                 f"Battery {self.battery} was charged by {-self.energy_measured_wh:.3f} Wh in all, if the sign is "

@@ -22,6 +22,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.logs import find_logs, iter_blocks, read_logs
 from missionsim.logs.raw import Remark, merge
 from missionsim.logs.read import distinct_logs, same_content
+from missionsim.numerals import meter_clock
 from missionsim.physics import Array
 from missionsim.runs.admit import admit
 from missionsim.runs.drive import assume, drive_blocks
@@ -147,8 +148,7 @@ def compare(
             on_run(run)
     batteries = [name for name in model.batteries if any(name in run for run in sums.runs.values())]
     meters = [
-        f"the model is shown as the meter of '{name}' shows it: {meter.delay_s:+.2f} s behind the motion, lag "
-        f"{meter.lag_s:.2f} s (robot file)"
+        f"the model is shown as the meter of '{name}' shows it: {meter_clock(meter.delay_s, meter.lag_s)} (robot file)"
         for name, meter in model.meters.items()
         if name in batteries
     ]

@@ -14,6 +14,7 @@ from missionsim.effects.covariates import is_text
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of
 from missionsim.labels import Labels
+from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import COVARIATES, is_switch, may_be_cause
 from missionsim.runs.drive import Driven
@@ -301,7 +302,7 @@ def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
         duration = f"{s:.0f} s" if s < 600.0 else f"{s / 60.0:.0f} min" if s < 7200.0 else f"{s / 3600.0:.1f} h"
         sentences.append(
             f"The error varies with {dependence.title}, which goes with {100.0 * dependence.explained:.0f} % of its "
-            f"variance: most {worst.phrase}, where the model is {abs(worst.bias_w):.3g} W "
+            f"variance: most {worst.phrase}, where the model is {watts(abs(worst.bias_w))} "
             f"{'too high' if worst.bias_w > 0.0 else 'too low'} on average during {duration}."
         )
     if telling[0].by == "accel_m_s2":

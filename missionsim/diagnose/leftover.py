@@ -22,6 +22,7 @@ from missionsim.identify.settings import (
     SMALL_TIME,
 )
 from missionsim.labels import Labels
+from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import may_be_cause
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
@@ -96,17 +97,11 @@ def standing_out(
         return None
     bias_w = float(np.average(error_w[here], weights=seconds[here]))
     told = (
-        f"a systematic error while {MOTIONS[kind]}, model {watts(abs(bias_w)).lstrip('+')} W too "
+        f"a systematic error while {MOTIONS[kind]}, model {watts(abs(bias_w), 2)} too "
         f"{'high' if bias_w > 0.0 else 'low'}: {100 * float(shares[kind]):.0f} % of the squared error in "
         f"{100 * time_share:.0f} % of the time; no effect of the library describes it"
     )
     return Structure(VARIES.get(MOTIONS[kind], ""), 0.0, 0.0, abs(bias_w) * time_share / mean_power_w, told)
-
-
-def watts(power_w: float) -> str:
-    """Two significant digits with a sign, never as a power of ten."""
-    digits = 1 - math.floor(math.log10(abs(power_w))) if power_w and math.isfinite(power_w) else 0
-    return f"{round(power_w, digits):+.{max(digits, 0)}f}".replace("-", "−")
 
 
 BEYOND_SD = 2.0

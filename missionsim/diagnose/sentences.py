@@ -11,6 +11,7 @@ from pathlib import Path
 from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import QUANTITY, Proposal
+from missionsim.numerals import rounded, watts
 
 _SUBJECT = {
     "grade": "Climbing",
@@ -47,13 +48,6 @@ _PER = {
 }
 
 
-def power(watts: float) -> str:
-    """A power in three digits or less, in kW from 1,000 W on."""
-    if abs(watts) >= 1000.0:
-        return f"{watts / 1000.0:.3g} kW"
-    return f"{watts:.3g} W" if abs(watts) >= 0.095 else f"{1000.0 * watts:.3g} mW"
-
-
 def missing(effect: Finding) -> str:
     """``Turning costs 3.3 kW per rad/s that the model does not know (5.1 % of the energy).``"""
     kind, _, part = effect.effect.partition(":")
@@ -72,7 +66,7 @@ def missing(effect: Finding) -> str:
     if first is None or first.unit not in _PER or len(effect.parameters) > 1 or kind == "acceleration":
         return f"{subject} costs {share} that the model does not know"
     less = first.value < 0.0
-    size = power(abs(first.value)) if first.unit != "J" else f"{abs(first.value):.3g} J"
+    size = watts(abs(first.value)) if first.unit != "J" else f"{rounded(abs(first.value))} J"
     return (
         f"{subject} {'takes' if less else 'costs'} {size}{_PER[first.unit].removeprefix('W').removeprefix('J')} "
         f"{'less than the model says' if less else 'that the model does not know'} ({share})"
@@ -91,9 +85,9 @@ def law(proposal: Proposal) -> str:
     at = []
     for name, value in [(curve.variable, curve.x[size]), *held.items()]:
         word, unit = QUANTITY.get(name, (name, ""))
-        at.append(f"{word} {value if isinstance(value, str) else f'{value:.2g}'} {unit}".strip())
+        at.append(f"{word} {value if isinstance(value, str) else rounded(value, 2)} {unit}".strip())
     verb = "gives back" if curve.watts[size] < 0.0 else "costs"
-    amount = f"{power(abs(curve.watts[size]))} ({', '.join(at)})"
+    amount = f"{watts(abs(curve.watts[size]))} ({', '.join(at)})"
     return f"{subject} {verb} about {amount} that the model does not know: {share}"
 
 
@@ -189,8 +183,8 @@ def base_note(before: Step, recalibrated: Step) -> str:
         return ""
     return (
         f"The base of the robot file is off: fitted anew, the energy error falls from {before.energy_error_pct:.2f} to "
-        f"{recalibrated.energy_error_pct:.2f} %, the power error from {before.power_rmse_w:.3g} to "
-        f"{recalibrated.power_rmse_w:.3g} W."
+        f"{recalibrated.energy_error_pct:.2f} %, the power error from {rounded(before.power_rmse_w)} to "
+        f"{watts(recalibrated.power_rmse_w)}."
     )
 
 
@@ -200,7 +194,7 @@ def errors(battery: BatteryDiagnosis) -> str:
     if battery.heldout is None:
         if law is None or not math.isfinite(law.left_out_rmse_w[1]):
             return ""
-        before, after = map(power, law.left_out_rmse_w)
+        before, after = map(watts, law.left_out_rmse_w)
         return f"On runs left out one at a time, the power error falls from {before} to {after}."
     given, base, with_it = bars_of(battery.heldout)
     if law is None and not battery.effects:
@@ -208,11 +202,11 @@ def errors(battery: BatteryDiagnosis) -> str:
     energy_pct, rmse_w = with_it.energy_error_pct, with_it.power_rmse_w
     if law is not None and law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
         energy_pct, rmse_w = law.heldout_energy_pct[1], law.heldout_rmse_w[1]
-    was, alone, now = power(given.power_rmse_w), power(base.power_rmse_w), f"{power(rmse_w)} with it"
+    was, alone, now = watts(given.power_rmse_w), watts(base.power_rmse_w), f"{watts(rmse_w)} with it"
     energies = [given.energy_error_pct, energy_pct]
     if rmse_w != with_it.power_rmse_w and battery.effects:
         named = _listed([effect.effect for effect in battery.effects])
-        now = f"{power(with_it.power_rmse_w)} with {named}, {power(rmse_w)} with the law as well"
+        now = f"{watts(with_it.power_rmse_w)} with {named}, {watts(rmse_w)} with the law as well"
         energies.insert(1, with_it.energy_error_pct)
     told = f"On runs not used the power error was {was} ({alone} recalibrated) and is {now}"
     if rmse_w > given.power_rmse_w:

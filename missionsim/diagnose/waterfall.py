@@ -8,6 +8,8 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
+from missionsim.numerals import rounded, watts
+
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
     from missionsim.identify.findings import BatteryDiagnosis, HeldOut
@@ -82,7 +84,7 @@ def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int
     told = "this may be chance" if energy_pct <= chance else "this is more than that"
     return (
         f"With {name} the energy error rises from {before.energy_error_pct:.2f} to {energy_pct:.2f} % while the power "
-        f"error falls from {before.power_rmse_w:.3g} to {after.power_rmse_w:.3g} W. Energy is a sum: without it, "
+        f"error falls from {rounded(before.power_rmse_w)} to {watts(after.power_rmse_w)}. Energy is a sum: without it, "
         "errors of opposite sign cancelled out over a run. With it, what is left is mostly the level by which a whole "
         f"run differs from the fitted ones, ±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On "
         f"{count} run{'s' * (count != 1)} even a model of the right form shows up to {chance:.1f} %; {told}."
@@ -158,11 +160,11 @@ def worse_note(bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = 
         late = added[best - 1 :]
         what = f"{late[0] if len(late) == 1 else 'what came after ' + added[best - 2]} raises"
     if best > 1 and after.power_rmse_w > (1.0 + CLEAR_SHARE) * bars[best].power_rmse_w:
-        told.append(f"the power error from {bars[best].power_rmse_w:.3g} to {after.power_rmse_w:.3g} W")
+        told.append(f"the power error from {rounded(bars[best].power_rmse_w)} to {watts(after.power_rmse_w)}")
     elif after.power_rmse_w > min((1.0 + SHOWN_SHARE) * max(powers), (1.0 + CLEAR_SHARE) * min(powers)):
         told.append(
-            f"the power error from {before.power_rmse_w:.3g} W ({recalibrated.power_rmse_w:.3g} W recalibrated) to "
-            f"{after.power_rmse_w:.3g} W"
+            f"the power error from {watts(before.power_rmse_w)} ({watts(recalibrated.power_rmse_w)} recalibrated) to "
+            f"{watts(after.power_rmse_w)}"
         )
     if after.energy_error_pct > SHOWN_PCT + max(before.energy_error_pct, recalibrated.energy_error_pct):
         told.append(

@@ -6,10 +6,10 @@ import math
 
 from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
-from missionsim.diagnose.leftover import watts
 from missionsim.diagnose.waterfall import unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal
+from missionsim.numerals import meter_clock, rounded, watts
 
 MOST_NOT_SEEN = 8
 RECALIBRATION_SD = 4.0
@@ -72,12 +72,12 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         (
             "WHERE",
             f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
-            f"{watts(where.bias_w)} W against the meter",
+            f"{watts(where.bias_w, 2, sign=True)} against the meter",
         )
         for where in battery.where
     ]
     edge = "; at the edge of what is searched: check the clocks" if battery.clock_at_edge else ""
-    clock = f"meter {battery.delay_s:+.2f} s behind the motion, lag {battery.lag_s:.2f} s (applied{edge})"
+    clock = f"meter {meter_clock(battery.delay_s, battery.lag_s)} (applied{edge})"
     lines.append(("CLOCK", clock if battery.aligned else "taken as logged, as asked"))
     lines.append(("NOISE", _noise(battery)))
     lines += [("FOUND", found_line(effect)) for effect in clear]
@@ -151,7 +151,7 @@ def _law_lines(law: Proposal) -> list[str]:
     before, after = law.left_out_rmse_w
     rests = f"rise of {law.rise_nats:.0f} nats where {law.penalty_nats + 6:.0f} are asked, of {law.tried:,} forms"
     if math.isfinite(after):
-        rests += f"; runs left out one at a time: power RMSE {before:.3g} -> {after:.3g} W"
+        rests += f"; runs left out one at a time: power RMSE {rounded(before)} → {watts(after)}"
     return [*lines, rests]
 
 
@@ -163,7 +163,7 @@ def next_line(experiment: Experiment) -> str:
         return experiment.do + long
     return (
         f"{experiment.do}{long}: to tell {' from '.join(experiment.separates)}, predicted "
-        f"separation {experiment.separation_now:.1f} -> {experiment.separation_after:.0f} nats, resolves with "
+        f"separation {experiment.separation_now:.1f} → {experiment.separation_after:.0f} nats, resolves with "
         f"probability {experiment.expected_power:.2f}"
     )
 
@@ -172,12 +172,12 @@ def heldout_line(heldout: HeldOut, found: bool = True) -> str:
     """Errors on held-out runs; with `found`, those with the effects as well."""
     e, p = heldout.energy_error_pct, heldout.power_rmse_w
     kind = "other conditions" if heldout.shifted else "same kind"
-    energy = f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f}"
-    rmse = f"power RMSE {p['nominal']:.3g} -> {p['recalibrated']:.3g}"
+    energy = f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} → {e['recalibrated']:.2f}"
+    rmse = f"power RMSE {rounded(p['nominal'])} → {rounded(p['recalibrated'])}"
     if not found:
         return f"{energy} % (recalibrated); {rmse} W"
     return (
-        f"{energy} (recalibrated) -> {e['with_effects']:.2f} % (with the effects); {rmse} -> {p['with_effects']:.3g} W"
+        f"{energy} (recalibrated) → {e['with_effects']:.2f} % (with the effects); {rmse} → {watts(p['with_effects'])}"
     )
 
 
@@ -190,11 +190,11 @@ def _execution(effect: Finding) -> str:
 
 def _noise(battery: BatteryDiagnosis) -> str:
     n = battery.noise
-    told = f"{watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
+    told = f"{watts(n['sd_w'], 2)} ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
     if n["fast_share"] + n["slow_share"] > 0.5:
         told += f", lasting {n['fast_s']:.0f} to {n['slow_s']:.0f} s"
     if len(battery.runs) > 1:
-        told += f"; runs differ by ±{watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
+        told += f"; runs differ by ±{watts(n['offset_w'], 2)} and ±{100 * n['gain']:.1f} % (meter), "
         told += f"±{100 * n['motion_gain']:.1f} % of the power (drive)"
     return told
 

@@ -13,6 +13,7 @@ from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.data import RunData
 from missionsim.labels import Labels
+from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import clock_of, is_switch, may_be_cause
 from missionsim.runs.drive import Driven, assume, drive_blocks, filled
@@ -129,7 +130,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         unknown, unknown_w = {}, 0.0
     elif unknown:
         remarks.append(
-            f"nothing tells when {', '.join(unknown)} ({unknown_w:.3g} W) was on: what a load of that size imitates "
+            f"nothing tells when {', '.join(unknown)} ({watts(unknown_w)}) was on: what a load of that size imitates "
             "is not named with confidence; log its on_<component> column, or the control scheme"
         )
     return Prepared(

@@ -43,6 +43,7 @@ from missionsim.identify.settings import (
     UNUSUAL_GAIN,
     USUAL_GAIN,
 )
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 from missionsim.runs.covariates import known
 
@@ -186,7 +187,7 @@ def _words(name: str, times: str, knots: Array, values: Array) -> str:
         return what
     curve = np.append(0.0, values)
     top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
-    return f"{what}: lowest at {knots[bottom]:.3g}, highest at {knots[top]:.3g}"
+    return f"{what}: lowest at {rounded(knots[bottom])}, highest at {rounded(knots[top])}"
 
 
 def periodic(model: Model) -> Structure | None:

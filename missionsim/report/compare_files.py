@@ -14,6 +14,7 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import OF_SCHEME, PARTS
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 from missionsim.report.page import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 from missionsim.report.terminal import signed, simple_table
@@ -37,7 +38,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     for one in comparison.batteries.values():
         found = one.error_statistics
         row = [one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}"]
-        row += [_plain(one.energy_error_pct, "+.2f"), f"{one.power_rmse_w:.3g}", f"{one.power_bias_w:+.3g}"]
+        row += [_plain(one.energy_error_pct, "+.2f"), rounded(one.power_rmse_w), rounded(one.power_bias_w, sign=True)]
         rows.append([*row, *map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))])
     console.print(simple_table(title, [*columns, ">peak %", ">final %", ">mean %", ">std %"], rows))
     notes = ["error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs"]
@@ -61,7 +62,7 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
     rows = []
     for where in [where for where in one.where if where.explains > 0.0][:WHERE_ROWS]:
         row = [where.title, f"{where.value} {where.unit}".strip(), f"{100.0 * where.explains:.1f}"]
-        row += [f"{where.bias_w:+.3g}", f"{where.seconds:.0f}", f"{100.0 * where.share_of_squared_error:.0f}"]
+        row += [rounded(where.bias_w, sign=True), f"{where.seconds:.0f}", f"{100.0 * where.share_of_squared_error:.0f}"]
         rows.append([*row, f"{where.gap_wh:+.3f}"])
     if rows:
         columns = ["quantity", "value", ">explains %", ">bias W", ">time s", ">sq. error %", ">gap Wh"]
@@ -88,7 +89,7 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
         rows = []
         for run in [run for run in one.runs if run in shown]:
             row = [run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
-            rows.append([*row, _plain(run.energy_error_pct, "+.2f"), f"{run.power_rmse_w:.3g}"])
+            rows.append([*row, _plain(run.energy_error_pct, "+.2f"), rounded(run.power_rmse_w)])
         columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
         console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))
 

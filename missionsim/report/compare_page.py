@@ -9,6 +9,7 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, Dependence
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
+from missionsim.numerals import rounded, watts
 from missionsim.report import page as web
 from missionsim.report.compare_files import DIVERGING, error_grid
 from missionsim.report.page import label
@@ -68,7 +69,7 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Blo
         ("Energy measured", f"{one.energy_measured_wh:.3f} Wh", f"battery {one.battery}"),
         ("Energy of the model", f"{one.energy_model_wh:.3f} Wh", "driven by the logs"),
         ("Energy error", f"{signed(error, 2)} %", "model minus measured"),
-        ("Power error", f"{one.power_rmse_w:.3g} W", "root mean square"),
+        ("Power error", watts(one.power_rmse_w), "root mean square"),
         ("Bias", f"{signed(one.power_bias_w)} W", "mean of model minus measured"),
     ]
     if gap["behaviour"] is not None:
@@ -133,7 +134,8 @@ def _residual(found: Dependence) -> web.Chart:
         mode="lines+markers" if numeric else "markers",
         marker={"size": 7 if numeric else 11, "color": web.MODEL},
         text=[
-            f"{label(b.value)} {found.unit}: {b.bias_w:+.3g} W ± {b.spread_w:.3g} W, {b.seconds:.0f} s" for b in bins
+            f"{label(b.value)} {found.unit}: {watts(b.bias_w, sign=True)} ± {watts(b.spread_w)}, {b.seconds:.0f} s"
+            for b in bins
         ],
         hovertemplate="%{text}<extra></extra>",
         error_y={"type": "data", "array": [b.spread_w for b in bins], "color": "#aab2bd", "thickness": 1, "width": 3},
@@ -213,7 +215,7 @@ def _map(one: BatteryComparison) -> list[web.Block]:
         limit=limit,
         colours=DIVERGING,
         bar=web.axis("error, W"),
-        hovertext=[f"{c.value}: {-c.gap_j / c.seconds:.3g} W, {c.seconds:.0f} s" for c in cells],
+        hovertext=[f"{c.value}: {watts(-c.gap_j / c.seconds)}, {c.seconds:.0f} s" for c in cells],
         hovertemplate="%{hovertext}<extra></extra>",
     )
     layout = {
@@ -265,7 +267,7 @@ def _runs(one: BatteryComparison) -> list[web.Block]:
     rows = []
     for run in one.runs:
         row = [run.run, run.seconds, f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
-        rows.append([*row, signed(run.energy_error_pct, 2), f"{run.power_rmse_w:.3g}", signed(run.power_bias_w)])
+        rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w), signed(run.power_bias_w)])
     total = sum(one.by_component_wh.values()) or 1.0
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]
     terms = [[name, energy] for name, energy in one.by_term_wh.items()]

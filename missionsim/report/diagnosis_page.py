@@ -14,6 +14,7 @@ from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import energy_note, measured_note, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY
+from missionsim.numerals import rounded, watts
 from missionsim.report import page as web
 
 TONES: dict[str, web.Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
@@ -75,9 +76,9 @@ def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], s
             if law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
                 after = law.heldout_rmse_w[1]
                 energy = f"with the law; energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
-        cards.append(("Power error, runs not used", f"{before:.3g} → {after:.3g} W", energy))
+        cards.append(("Power error, runs not used", f"{rounded(before)} → {watts(after)}", energy))
     drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
-    cards.append(("Mean power", f"{web.format_cell(battery.mean_power_w, 3)} W", drives))
+    cards.append(("Mean power", f"{watts(battery.mean_power_w)}", drives))
     said = [told for told in (sentences.sure(battery), sentences.errors(battery)) if told]
     tone = "bad" if unseen_note(battery) else TONES[battery.verdict]
     blocks: list[web.Block] = [web.Verdict(words.headline(battery), tone), web.Tiles(cards)]
@@ -238,7 +239,7 @@ def _details(battery: BatteryDiagnosis) -> list[web.Block]:
     if battery.heldout is not None:
         models = {"nominal": "robot file", "recalibrated": "recalibrated", "with_effects": "with what was found"}
         rows = [
-            [held.how, text, f"{held.energy_error_pct[kind]:.2f}", f"{held.power_rmse_w[kind]:.3g}"]
+            [held.how, text, f"{held.energy_error_pct[kind]:.2f}", rounded(held.power_rmse_w[kind])]
             for held in (battery.heldout, battery.shifted)
             if held is not None
             for kind, text in models.items()
@@ -310,7 +311,7 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     text = "".join(f"{told} " for told in (one.worse, better) if told)
     text += (
         f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
-        f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
+        f"{rounded(first.power_rmse_w)} to {watts(last.power_rmse_w)}, the energy error from "
         f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
         f"{one.stopped[:1].upper()}{one.stopped[1:]}"
     )
@@ -339,15 +340,15 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     )
     table = web.Table(
         ["model", "energy error, %", "power error (RMS), W"],
-        [[s.name, f"{s.energy_error_pct:.2f}", f"{s.power_rmse_w:.3g}"] for s in one.steps],
+        [[s.name, f"{s.energy_error_pct:.2f}", rounded(s.power_rmse_w)] for s in one.steps],
         measured_note(one),
         3,
     )
     tiles = web.Tiles(
         [
             ("Added", str(len(one.added)), ", ".join(one.added)),
-            ("Power error", f"{first.power_rmse_w:.3g} → {last.power_rmse_w:.3g} W", which),
-            ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ"),
+            ("Power error", f"{rounded(first.power_rmse_w)} → {watts(last.power_rmse_w)}", which),
+            ("Noise floor", watts(floor.power_rmse_w), "noise, and runs whose meters and drives differ"),
         ]
     )
     typed = [web.Command("Type this next", command)] if command else []

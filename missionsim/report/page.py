@@ -10,7 +10,6 @@ import gzip
 import html as html_lib
 import itertools
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from missionsim.errors import visible
 from missionsim.files import atomic_write, plain
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -200,17 +200,7 @@ def format_cell(value: object, digits: int = 4) -> str:
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
     if _is_number(value) and not isinstance(value, str):
-        number = float(value)
-        if not math.isfinite(number):
-            return "–"
-        if isinstance(value, (int, np.integer)):
-            return f"{value:,}"
-        if number == 0:
-            return "0"
-        magnitude = math.floor(math.log10(abs(number)))
-        if magnitude < -4 or magnitude > 8:
-            return f"{number:.{digits - 1}e}"
-        return f"{number:,.{max(0, digits - 1 - magnitude)}f}".replace("-", "−")
+        return f"{value:,}" if isinstance(value, (int, np.integer)) else rounded(float(value), digits)
     return str(value)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import visible
+from missionsim.numerals import rounded
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -57,5 +58,5 @@ def signed(value: float | None, decimals: int | None = None) -> str:
     """A number with its sign, so many decimals or else three significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):
         return "–"
-    form = "+.3g" if decimals is None else f"+.{decimals}f"
-    return f"{round(value, 4) + 0.0:{form}}".replace("-", "−")  # adding zero makes a negative zero positive
+    value = round(value, 4) + 0.0  # adding zero makes a negative zero positive
+    return rounded(value, sign=True) if decimals is None else f"{value:+.{decimals}f}".replace("-", "−")

@@ -16,6 +16,7 @@ from missionsim.compare import Comparison, compare, compare_files
 from missionsim.compare.behaviour import PARTS, split_behaviour
 from missionsim.effects.timeline import Timeline
 from missionsim.labels import Labels
+from missionsim.numerals import watts
 from missionsim.runs.motion import Motion
 from tests.compare.worlds import drive, friction_model, log_of, true_power
 
@@ -74,7 +75,7 @@ def test_a_planted_term_is_seen_where_it_acts(extra: Any, by: str, value: str | 
     assert strongest.explained > 2.0 * other.explained
     worst = next(where for where in one.where if where.by == by and where.bias_w < -0.1)
     assert value is None or worst.value == value
-    assert f"the model is {abs(worst.bias_w):.3g} W too low" in " ".join(one.words)
+    assert f"the model is {watts(abs(worst.bias_w))} too low" in " ".join(one.words)
 
 
 def test_values_of_each_covariate_add_up_to_the_gap() -> None:

@@ -49,7 +49,7 @@ def test_energy_note_weighs_the_rise_against_the_floor(after_pct: float, runs: i
     note = energy_note(improved(after_pct, runs))
     assert note.startswith(
         f"With '+ grade' the energy error rises from 0.20 to {after_pct:.2f} % while the power "
-        "error falls from 1.22 to 0.57 W"
+        "error falls from 1.22 to 0.570 W"
     )
     assert "±0.8 % in these logs" in note
     assert told in note
@@ -69,7 +69,7 @@ def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
 
 @pytest.mark.parametrize(
     ("bias_w", "told"),
-    [(-720.4, "−720 W"), (-1234.0, "−1200 W"), (0.0123, "+0.012 W"), (4.07, "+4.1 W"), (0.0, "+0 W")],
+    [(-720.4, "−720 W"), (-1234.0, "−1,234 W"), (0.0123, "+0.012 W"), (4.07, "+4.1 W"), (0.0, "+0 W")],
 )
 def test_where_gives_watts_without_powers_of_ten(bias_w: float, told: str) -> None:
     lines = dict(words.report(replace(BATTERY, where=(replace(BATTERY.where[0], bias_w=bias_w),))))

@@ -99,13 +99,13 @@ def test_found() -> None:
     )
     told = text(BATTERY)
     assert "WHERE slope 2 to 4 °: 40 % of the squared error" in told
-    assert "CLOCK meter +0.30 s behind the motion, lag 0.30 s (applied)" in told
+    assert "CLOCK meter 0.30 s behind the motion, lag 0.30 s (applied)" in told
     assert "NOISE 0.40 W (3.1 % of the mean power), lasting 4 to 40 s\n" in told  # of one run nothing is known beyond
     several = text(replace(BATTERY, runs=("run_00", "run_01")))
     assert "lasting 4 to 40 s; runs differ by ±0.18 W and ±1.0 % (meter), ±0.8 % of the power (drive)\n" in several
     assert "grade: 3.3 % of energy (95 % 3.0 to 3.6); k = 0.98 (95 % 0.95 to 1.01)" in told
     assert "aerodynamic_drag < 1.1 % of energy; these data say nothing of conversion_loss" in told
-    assert "energy error 4.60 -> 2.70 (recalibrated) -> 1.20 % (with the effects)" in told
+    assert "energy error 4.60 → 2.70 (recalibrated) → 1.20 % (with the effects)" in told
     assert "BASE recalibrated, no discovery: c3 +4.2 % (+1.4 sd)" in told
     assert "radio_range (needs access_point_distance_m)" in told
 
@@ -121,7 +121,7 @@ def test_nothing_is_excluded_of_what_may_be_the_cause() -> None:
 def test_without_effects_there_is_no_error_with_them() -> None:
     line = dict(words.report(replace(BATTERY, effects=())))["HELD-OUT"]
     assert line == (
-        "the last 2 runs of 8 (same kind): energy error 4.60 -> 2.70 % (recalibrated); power RMSE 4.6 -> 2.7 W"
+        "the last 2 runs of 8 (same kind): energy error 4.60 → 2.70 % (recalibrated); power RMSE 4.60 → 2.70 W"
     )
 
 
@@ -164,7 +164,7 @@ def test_a_set_of_two_is_never_called_the_cause() -> None:
     told = text(unsure)
     assert "UNSURE payload OR surface_rolling_resistance, 5.0 % of energy: these data cannot tell" in told
     assert "more of the same data will not help" in told
-    assert "predicted separation 0.0 -> 70 nats" in told
+    assert "predicted separation 0.0 → 70 nats" in told
     assert "cause" not in f"{head} {told}"
     assert "FOUND" not in told
 

@@ -204,7 +204,7 @@ def law(**changes: Any) -> Proposal:
 
 def test_a_law_in_plain_words() -> None:
     assert sentences.law(law()) == (
-        "Turning with payload costs about 6 W (turn rate 0.5 rad/s, payload 4 kg) that the model does not know: "
+        "Turning with payload costs about 6.00 W (turn rate 0.50 rad/s, payload 4.0 kg) that the model does not know: "
         "5.0 % of the energy"
     )
 

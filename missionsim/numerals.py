@@ -1,0 +1,34 @@
+"""Numbers as people read them: three digits, thousands with commas, a true minus, no power of ten where it can be
+avoided; powers and clocks in words."""
+
+from __future__ import annotations
+
+import math
+
+
+def rounded(value: float, digits: int = 3, *, sign: bool = False) -> str:
+    """A number with `digits` significant digits, all that stand before the point; a dash where there is none.
+
+    `sign`: whether a positive number has one.
+    """
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "+0" if sign else "0"
+    magnitude = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    form = f".{digits - 1}e" if magnitude < -4 or magnitude > 8 else f",.{max(0, digits - 1 - magnitude)}f"
+    front = "−" if value < 0.0 else "+" if sign else ""
+    return f"{front}{abs(value):{form}}"
+
+
+def watts(value: float, digits: int = 3, *, sign: bool = False) -> str:
+    """``9,356 W``: a power is told in watts everywhere, so that any two can be compared."""
+    return f"{rounded(value, digits, sign=sign)} W"
+
+
+def meter_clock(delay_s: float, lag_s: float) -> str:
+    """Where the meter of a battery lies beside the motion: ``0.90 s ahead of the motion, lag 0.30 s``."""
+    beside = "with the motion"
+    if abs(delay_s) >= 0.005:
+        beside = f"{abs(delay_s):.2f} s {'behind' if delay_s > 0.0 else 'ahead of'} the motion"
+    return f"{beside}, lag {lag_s:.2f} s"
