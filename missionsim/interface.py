@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from missionsim.files import Json, fields_of, write_text
-from missionsim.numerals import rounded, watts
+from missionsim.numerals import in_wh, rounded, watts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -136,7 +136,7 @@ def run(mission: PathLike, *, set: Values | None = None, robot: PathLike | None 
     from missionsim.results.write import tables
 
     result = simulate(load_mission(mission, _pairs(set), robot))
-    used = ", ".join(f"{name} {b.energy_wh:.3f} Wh" for name, b in result.batteries.items())
+    used = ", ".join(f"{name} {in_wh(b.energy_wh)} Wh" for name, b in result.batteries.items())
     verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
     line = f"{result.mission} with {result.robot}, {result.duration_s:.0f} s, {used}, {verdict}"
     drawn = ("start_s", *(f"power_{name}_w" for name in result.batteries))

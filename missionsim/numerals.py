@@ -32,3 +32,11 @@ def meter_clock(delay_s: float, lag_s: float) -> str:
     if abs(delay_s) >= 0.005:
         beside = f"{abs(delay_s):.2f} s {'behind' if delay_s > 0.0 else 'ahead of'} the motion"
     return f"{beside}, lag {lag_s:.2f} s"
+
+
+def in_wh(wh: float, *, sign: bool = False) -> str:
+    """``15,343.007``: watt-hours with three decimals, which is how every energy is told."""
+    if not math.isfinite(wh):
+        return "–"
+    front = "−" if round(wh, 3) < 0.0 else "+" if sign else ""
+    return f"{front}{abs(wh):,.3f}"

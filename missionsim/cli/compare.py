@@ -19,7 +19,7 @@ from missionsim.fit.parameters import ModelFit
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import describe, read_logs
-from missionsim.numerals import meter_clock, watts
+from missionsim.numerals import meter_clock, rounded, watts
 from missionsim.report.compare_files import print_comparison, write_figures, write_tables
 from missionsim.report.compare_page import compare_page
 from missionsim.report.terminal import console, show_table
@@ -182,7 +182,12 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
     terminal = console()
     for fit in fits:
         rows = [
-            (p.name, f"{p.value:.4g}", f"{p.low:.4g} … {p.high:.4g}", p.unit if p.unit != "1" else "")
+            (
+                p.name,
+                rounded(p.value, 4),
+                f"{rounded(p.low, 4)} … {rounded(p.high, 4)}",
+                p.unit if p.unit != "1" else "",
+            )
             for p in fit.parameters.values()
             if p.seen
         ]

@@ -18,7 +18,7 @@ from missionsim.diagnose.improve import improve as run_improve
 from missionsim.diagnose.proposed import called, check_formula, formula_of, proposed_laws, with_candidate
 from missionsim.diagnose.sentences import worse
 from missionsim.diagnose.split import Split
-from missionsim.diagnose.waterfall import energy_note, measured_note
+from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor
 from missionsim.diagnose.words import heldout_line
 from missionsim.errors import InputError, visible
 from missionsim.files import write_text
@@ -78,7 +78,7 @@ def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
 
     terminal = console()
     for battery in result.batteries.values():
-        terminal.print(words.headline(battery), style="bold")
+        terminal.print(words.headline(battery, len(result.batteries) > 1), style="bold")
         for line in (sentences.sure(battery), sentences.errors(battery)):
             if line:
                 terminal.print(line)
@@ -198,7 +198,8 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
         rows = []
         for step in one.steps:
             bar = "█" * max(1, round(18 * step.power_rmse_w / most))
-            rows.append((step.name, f"{step.energy_error_pct:.2f}", rounded(step.power_rmse_w), bar))
+            told = power_of_floor(one.steps) if step is one.steps[-1] else rounded(step.power_rmse_w)
+            rows.append((step.name, f"{step.energy_error_pct:.2f}", told, bar))
         if one.worse:
             terminal.print(one.worse, style="bold red")
         if better:

@@ -19,6 +19,7 @@ from missionsim.inputs import load_robot
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, describe
 from missionsim.logs.blocks import LongRun, write_log
+from missionsim.numerals import in_wh
 from missionsim.report.terminal import console, show_table
 
 
@@ -135,7 +136,7 @@ def _told(
     if to.text:
         rows = []
         for log in logs[:20]:
-            energies = ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries)
+            energies = ", ".join(f"{name} {in_wh(log.energy_wh(name))}" for name in log.batteries)
             rows.append([log.run, log.rows, f"{log.duration_s:.1f}", energies])
         terminal = console()
         show_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows)

@@ -16,6 +16,7 @@ from missionsim.errors import InputError
 from missionsim.files import check_writable, write_text
 from missionsim.inputs.loading import load_environment, load_task
 from missionsim.inputs.task import TaskSpec
+from missionsim.numerals import in_wh
 from missionsim.planner import reach as planner
 from missionsim.planner import why
 from missionsim.planner.answer import Answer, mission_text
@@ -139,7 +140,7 @@ def show(answer: Answer) -> None:
             f"holds in {100 * sure['value']:.2f} % of {sure['runs']} fresh draws "
             f"({100 * sure['low']:.2f} to {100 * sure['high']:.2f} %)"
         )
-    energy = ", ".join(f"{name} {value:.3f} Wh" for name, value in answer.energy_wh.items())
+    energy = ", ".join(f"{name} {in_wh(value)} Wh" for name, value in answer.energy_wh.items())
     terminal.print(f"{clock(answer.duration_s)}, {energy}")
     batteries = list(answer.energy_wh)
     rows = []
@@ -150,8 +151,8 @@ def show(answer: Answer) -> None:
         speed = f"{piece.limit_m_s:.2f}" if piece is not None else ""
         edge = piece.name if piece is not None else ""
         cells = [leg.kind, leg.place, edge, scheme, speed, f"{leg.duration_s:.1f}"]
-        cells += [f"{leg.energy_wh[name]:.3f}" for name in batteries]
-        cells += [f"{leg.charge_wh[name]:.3f}" for name in batteries]
+        cells += [in_wh(leg.energy_wh[name]) for name in batteries]
+        cells += [in_wh(leg.charge_wh[name]) for name in batteries]
         rows.append(cells)
     columns = ["leg", "to", "along", "scheme", ">m/s", ">s"]
     columns += [f">{name} Wh" for name in batteries] + [f">{name} left" for name in batteries]
@@ -162,7 +163,7 @@ def show(answer: Answer) -> None:
     front = answer.extra.get("pareto")
     if front:
         heads = [">s", *(f">{name} Wh" for name in batteries)]
-        table = [[f"{p['duration_s']:.1f}", *(f"{p['energy_wh'][n]:.3f}" for n in batteries)] for p in front]
+        table = [[f"{p['duration_s']:.1f}", *(in_wh(p["energy_wh"][n]) for n in batteries)] for p in front]
         show_table("Energy against time", heads, table)
 
 
@@ -236,8 +237,8 @@ def _show(answer: dict[str, Any]) -> None:
         holds = item["holds"]
         word = "yes" if item["sure"] else f"fewer than {percent}" if item["reachable"] else "NO"
         cells = [place, word, "–" if holds is None else f"{100 * holds['value']:.1f} %", clock(item["duration_s"])]
-        cells += [f"{item['energy_wh'][name]:.3f}" for name in names]
-        cells += [f"{item['margin_wh'][name]:.3f}" for name in names]
+        cells += [in_wh(item["energy_wh"][name]) for name in names]
+        cells += [in_wh(item["margin_wh"][name]) for name in names]
         rows.append(cells)
     show_table("Places", columns, rows)
     for place, item in answer["places"].items():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output, OutRecording
+from missionsim.numerals import in_wh
 from missionsim.report.terminal import console, show_table, simple_table, titled
 
 if TYPE_CHECKING:
@@ -89,21 +90,21 @@ def show(result: RunResult) -> None:
     terminal.print(f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {driven}")
     rows = []
     for name, b in result.batteries.items():
-        left = [f"{b.charge_left_wh:.3f}", f"{100 * b.charge_left_fraction:.1f} %", f"{b.reserve_required_wh:.3f}"]
-        home = "unknown" if b.home_wh is None else f"{b.home_wh:.3f}"
-        used = [f"{b.energy_wh:.3f}", f"{b.mean_power_w:.2f}", f"{b.capacity_wh:.1f}"]
-        rows.append([name, *used, *left, home, f"{b.reserve_wh:.3f}"])
+        left = [in_wh(b.charge_left_wh), f"{100 * b.charge_left_fraction:.1f} %", in_wh(b.reserve_required_wh)]
+        home = "unknown" if b.home_wh is None else in_wh(b.home_wh)
+        used = [in_wh(b.energy_wh), f"{b.mean_power_w:.2f}", f"{b.capacity_wh:.1f}"]
+        rows.append([name, *used, *left, home, in_wh(b.reserve_wh)])
     heads = ("Wh used", "mean W", "full Wh", "Wh left", "left", "to keep Wh", "home Wh", "reserve Wh")
     show_table("Batteries", ["battery", *(f">{head}" for head in heads)], rows)
     if result.dock_s:
-        charged = ", ".join(f"{name} {b.charged_wh:.3f} Wh" for name, b in result.batteries.items() if b.charged_wh)
+        charged = ", ".join(f"{name} {in_wh(b.charged_wh)} Wh" for name, b in result.batteries.items() if b.charged_wh)
         terminal.print(f"  charged at docks in {clock(result.dock_s)}: {charged or 'nothing'}")
     for name, b in result.batteries.items():
         if b.empty_at_s is not None:
             empty = f"empty at {clock(b.empty_at_s)} in {b.empty_in_segment}"
-            terminal.print(f"  {name}: {empty}, {b.deficit_wh:.3f} Wh short")
+            terminal.print(f"  {name}: {empty}, {in_wh(b.deficit_wh)} Wh short")
         elif b.deficit_wh > 0.0:
-            terminal.print(f"  {name}: {b.deficit_wh:.3f} Wh short of the whole mission")
+            terminal.print(f"  {name}: {in_wh(b.deficit_wh)} Wh short of the whole mission")
         elif b.charge_left_wh < b.reserve_required_wh * (1 - 1e-9):
             terminal.print(f"  {name}: below its reserve")
     if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
@@ -115,13 +116,13 @@ def show(result: RunResult) -> None:
         terminal.print(f"  warning: {fault.message}")
     if result.never_on:
         terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
-    largest = [(part, of, f"{wh:.3f}", f"{100 * share:.1f} %") for of, part, wh, share in largest_consumers(result)]
+    largest = [(part, of, in_wh(wh), f"{100 * share:.1f} %") for of, part, wh, share in largest_consumers(result)]
     show_table("Three largest consumers", ["component", "battery", ">Wh", ">share"], largest)
     schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
     names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
     if len(names) > 1:
         told = {"none": "no scheme"}
-        rows = [[told.get(name, name), *(f"{wh.get(name, 0.0):.3f}" for wh in schemes.values())] for name in names]
+        rows = [[told.get(name, name), *(in_wh(wh.get(name, 0.0)) for wh in schemes.values())] for name in names]
         show_table("Energy by control scheme [Wh]", ["scheme", *(f">{b}" for b in schemes)], rows)
     terminal.print(segment_rows(result))
 
@@ -147,7 +148,7 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
         shown = [row for row in rows if row[1] in keep]
         title += f", the {most} largest of {len(rows)}"
     columns = ["segment", "kind", ">times", *(f">{name}" for name in result.batteries)]
-    cells = [(label, kind, times, *(f"{part:.3f}" for part in parts)) for _, label, kind, times, parts in shown]
+    cells = [(label, kind, times, *(in_wh(part) for part in parts)) for _, label, kind, times, parts in shown]
     return simple_table(title, columns, cells)
 
 

@@ -9,6 +9,7 @@ from cyclopts import App
 from missionsim.cli.options import TERMINAL, OutFolder, Output
 from missionsim.errors import InputError
 from missionsim.files import fields_of, write_text
+from missionsim.numerals import rounded
 from missionsim.report.terminal import console, show_table, titled
 
 if TYPE_CHECKING:
@@ -124,7 +125,9 @@ def robots(*, to: Output = TERMINAL) -> int:
     if to.text:
         rows = []
         for item in described:
-            batteries = "\n".join(f"{key} {value['capacity_wh']:.4g} Wh" for key, value in item["batteries"].items())
+            batteries = "\n".join(
+                f"{key} {rounded(value['capacity_wh'], 4)} Wh" for key, value in item["batteries"].items()
+            )
             switched = [
                 key + (f" ×{value['units']}" if value["units"] > 1 else "")
                 for key, value in item["components"].items()

@@ -11,6 +11,7 @@ from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, OutTable
 from missionsim.cli.run import clock
 from missionsim.errors import InputError
 from missionsim.inputs.overrides import split_assignment
+from missionsim.numerals import in_wh
 from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import write_table
@@ -178,13 +179,13 @@ def show(found: WhatIf) -> None:
         for name in found.batteries:
             b = row["batteries"][name]
             percent = b["difference_pct"]
-            line += [f"{b['energy_wh']:.3f}", signed(b["difference_wh"], 3)]
+            line += [in_wh(b["energy_wh"]), signed(b["difference_wh"], 3)]
             line.append("–" if percent is None else signed(percent, 1))
             if b["charge_left_wh"] is None:
                 kept += ["–"] * 3
             else:
                 share = f"{100 * b['charge_left_fraction']:.1f} %"
-                kept += [f"{b['charge_left_wh']:.3f}", share, f"{b['margin_wh']:.3f}"]
+                kept += [in_wh(b["charge_left_wh"]), share, in_wh(b["margin_wh"])]
         cells.append([*line, "yes" if row["feasible"] else "NO"])
         left.append(kept)
     table = simple_table("Alternatives", columns, cells)

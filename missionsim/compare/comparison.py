@@ -11,7 +11,7 @@ from missionsim.compare.behaviour import MissionGap
 from missionsim.compare.where import Dependence, Series, Where, in_words
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of, sha256
-from missionsim.numerals import watts
+from missionsim.numerals import in_wh, watts
 from missionsim.physics import Array
 from missionsim.runs.error import Errors, ErrorStatistics, RunError
 
@@ -126,7 +126,7 @@ class BatteryComparison(RunError):
                 first += f" Measured is about {factor} of modelled: is the meter's unit the watt?"
         elif math.isfinite(error):
             first = (
-                f"Battery {self.battery} was charged by {-self.energy_measured_wh:.3f} Wh in all, if the sign is "
+                f"Battery {self.battery} was charged by {in_wh(-self.energy_measured_wh)} Wh in all, if the sign is "
                 f"right: what it delivers is positive. Against the model {power}"
             )
         else:

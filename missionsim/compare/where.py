@@ -215,7 +215,7 @@ class Where:
     @property
     def phrase(self) -> str:
         """The value as part of a sentence: ``on carpet``, ``at speed 0.4 to 0.5 m/s``."""
-        words = {"surface": "on", "motion": "while", "place": "near", "run": "in run"}
+        words = {"surface": "on", "motion": "while", "place": "near", "run": "in"}
         if self.by in words:
             return f"{words[self.by]} {self.value}"
         if self.by.startswith("on_"):

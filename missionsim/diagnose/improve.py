@@ -23,6 +23,7 @@ from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
+NOTHING_LEFT = "nothing is left above the detection limits"
 MOST_LAWS = 3
 """Proposed laws that are offered once the library has nothing more to add."""
 CLOCK_MOVES_S = 0.05
@@ -68,6 +69,11 @@ class Improved:
             "first": self.first.to_json(),
             "last": self.last.to_json(),
         }
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing remains to be told."""
+        return self.stopped == f"{NOTHING_LEFT}."
 
     @property
     def worse(self) -> str:
@@ -300,7 +306,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     errors = {name: models.errors(power, runs) for name, power in powers.items()}
     steps = [Step(name, one.run_energy_error_pct, one.power_rmse_w) for name, one in errors.items()]
     floor_pct, floor_w = noise_floor(last)
-    # where much is unexplained the noise holds a part of it, and a model that errs by less shows that
+    # where much is unexplained the noise holds a part of it, and a model that errs by less shows that (`floor_note`)
     steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
     base_alone = bool(heldout) and not taken and clearly_better(steps[-2], steps[0])
     if base_alone:
@@ -348,4 +354,4 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
         return f"no further effect is above the detection limits; what remains still varies with {on}."
     if last.unexplained.shape:
         return f"no further effect is above the detection limits; what remains: {last.unexplained.shape}."
-    return "nothing is left above the detection limits."
+    return f"{NOTHING_LEFT}."

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
-from missionsim.identify.proposed import QUANTITY, Proposal
+from missionsim.identify.proposed import QUANTITY, Proposal, state
 from missionsim.numerals import rounded, watts
 
 _SUBJECT = {
@@ -82,10 +82,7 @@ def law(proposal: Proposal) -> str:
         return f"{subject} costs {share} that the model does not know"
     size = min(range(len(curve.x)), key=lambda i: abs(curve.x[i] - curve.usual))
     held = {name: value for name, value in curve.at.items() if not name.startswith("on_")}
-    at = []
-    for name, value in [(curve.variable, curve.x[size]), *held.items()]:
-        word, unit = QUANTITY.get(name, (name, ""))
-        at.append(f"{word} {value if isinstance(value, str) else rounded(value, 2)} {unit}".strip())
+    at = [state(name, value) for name, value in [(curve.variable, curve.x[size]), *held.items()]]
     verb = "gives back" if curve.watts[size] < 0.0 else "costs"
     amount = f"{watts(abs(curve.watts[size]))} ({', '.join(at)})"
     return f"{subject} {verb} about {amount} that the model does not know: {share}"

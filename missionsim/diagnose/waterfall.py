@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
+from missionsim.identify.noise import mean_variance
 from missionsim.numerals import rounded, watts
 
 if TYPE_CHECKING:
@@ -54,18 +55,6 @@ def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
     seconds = diagnosis.seconds / max(len(diagnosis.runs), 1)
     spread = math.sqrt(between + noise["sd_share"] ** 2 * mean_variance(noise, seconds))
     return 100.0 * spread * math.sqrt(2.0 / math.pi), rmse_w
-
-
-def mean_variance(noise: Mapping[str, float], seconds: float) -> float:
-    """Variance of the mean of the noise over a run, relative to that of single rows.
-
-    ``2 τ/T (1 − τ/T (1 − exp(−T/τ)))`` for each of its two parts of correlation time τ; white noise averages out.
-    """
-    total = 0.0
-    for part in ("fast", "slow"):
-        reach = noise[f"{part}_s"] / seconds
-        total += noise[f"{part}_share"] * 2.0 * reach * (1.0 - reach * (1.0 - math.exp(-1.0 / reach)))
-    return total
 
 
 def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int, fitted: int) -> str:
@@ -176,9 +165,34 @@ def worse_note(bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = 
 
 
 def measured_note(done: Improved) -> str:
-    """How the errors of the steps were measured."""
+    """How the errors of the steps were measured, and what the noise floor is where a model errs by no more."""
     untested = "".join(f" {run}: no {', '.join(names)}; not tested on it." for run, names in done.untested.items())
     return (
         "Measured as missionsim compare does: rows as logged, the model as late as the meter of its file; energy "
-        f"errors are means over runs of the magnitude.{untested}"
+        f"errors are means over runs of the magnitude.{untested}{_floor_note(done)}"
     )
+
+
+def power_of_floor(steps: Sequence[Step]) -> str:
+    """Power error of the noise floor [W], as a bound where the last model errs by no more."""
+    cut = "≤ " if steps[-1].power_rmse_w >= steps[-2].power_rmse_w else ""
+    return f"{cut}{rounded(steps[-1].power_rmse_w)}"
+
+
+def _floor_note(done: Improved) -> str:
+    *_, last, floor = done.steps
+    told = ""
+    if floor.power_rmse_w >= last.power_rmse_w:
+        told += (
+            " What nothing explains counts as noise: the noise floor of the power is known to be at most the error of "
+            "the last model."
+        )
+    if floor.energy_error_pct > last.energy_error_pct:
+        count = len((done.first.heldout or done.first).runs)
+        half = 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count)  # as in `rise_note`
+        low, high = (floor.energy_error_pct * max(0.0, 1.0 + side * half) for side in (-1.0, 1.0))
+        told += (
+            f" The noise floor of the energy is the mean of many runs: over {count} run{'s' * (count != 1)} a true "
+            f"model shows {low:.2f} to {high:.2f} %, so that one may well lie below it."
+        )
+    return told

@@ -18,17 +18,17 @@ BLIND_SHARE = 0.5
 """Detection limits from here on mean that the data say nothing of an effect."""
 
 
-def headline(battery: BatteryDiagnosis) -> str:
-    """The verdict in one or two sentences."""
-    name, left = f"Battery {battery.battery}", battery.unexplained
+def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
+    """The verdict in one or two sentences; the battery is named where `several` are diagnosed."""
+    left = battery.unexplained
     said = list(filter(None, [sentences.worse(battery)]))
     clear = [f for f in battery.effects if not f.indistinguishable_from]
-    said += [f"{name}: {sentences.missing(f)}; that {'may be' if f.remark else 'is'} {f.effect}." for f in clear]
+    said += [f"{sentences.missing(f)}; that {'may be' if f.remark else 'is'} {f.effect}." for f in clear]
     for effect in battery.effects:
         if effect.indistinguishable_from:
             names = " or ".join((effect.effect, *effect.indistinguishable_from))
             said.append(
-                f"{name}: something is missing, {100 * effect.energy_share:.1f} % of the energy: {names}. These data "
+                f"Something is missing, {100 * effect.energy_share:.1f} % of the energy: {names}. These data "
                 "cannot tell which."
             )
     if driven := [_execution(f) for f in battery.execution]:
@@ -39,29 +39,29 @@ def headline(battery: BatteryDiagnosis) -> str:
             fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
         if law.open:
             fits += f"; whether it is {' or '.join(law.possible)} that it follows, these data cannot tell"
-        said.append(f"{name}: {sentences.law(law)}; {fits}.")
+        said.append(f"{sentences.law(law)}; {fits}.")
     if battery.proposed_laws:
         if left.shape:
             said.append(f"What shows it: {left.shape}.")
     elif battery.verdict == "unexplained_structure" and not left.depends_on:
-        said.append(f"{name}: {left.shape}.")
+        said.append(f"{left.shape[:1].upper()}{left.shape[1:]}.")
     elif battery.verdict == "unexplained_structure":
         said.append(
-            f"{name}: something is {'also ' if battery.effects else ''}missing that the library does not contain; it "
+            f"Something is {'also ' if battery.effects else ''}missing that the library does not contain; it "
             f"varies with {', '.join(left.depends_on)} ({left.shape})."
         )
     elif left.shape:
-        said.append(f"{name}: {'beyond that, ' if said else ''}something remains: {left.shape}.")
+        said.append(f"{'Beyond that, something' if said else 'Something'} remains: {left.shape}.")
     if unseen := unseen_note(battery):
-        said.append(f"{name}: {'beyond that, ' if said else ''}{unseen}.")
+        said.append(f"Beyond that, {unseen}." if said else f"{unseen[:1].upper()}{unseen[1:]}.")
     if not said:
         known = [c.smallest_detectable_share for c in battery.candidates if c.smallest_detectable_share is not None]
         limits = [100 * limit for limit in known if limit < BLIND_SHARE]
         least = f" ({min(limits):.1f} to {max(limits):.1f} % of energy, by effect)" if limits else ""
-        said.append(f"{name}: no evidence of anything missing above the detection limits{least}.")
+        said.append(f"No evidence of anything missing above the detection limits{least}.")
     if battery.clock_at_edge:
         said.append("The clocks of meter and motion lie further apart than what is searched: check them first.")
-    return " ".join(said)
+    return " ".join([*([f"Battery {battery.battery}:"] if several else []), *said])
 
 
 def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:

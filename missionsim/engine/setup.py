@@ -18,6 +18,7 @@ from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.values import Parameter
 from missionsim.labels import Labels
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 from missionsim.plan.asked import EXTRAS
 from missionsim.plan.legs import Plan, SegmentInfo
@@ -182,7 +183,7 @@ def doubts(
         found.append(
             term.effect.place.warning(
                 f"the power of '{term.key.name}' is negative: it charges battery '{term.key.battery}' with "
-                f"{given / J_PER_WH:.4g} Wh in {_named(line.segment[negative], segments)}; is the sign right?",
+                f"{rounded(given / J_PER_WH, 4)} Wh in {_named(line.segment[negative], segments)}; is the sign right?",
                 got=term.effect.equation,
                 allowed="power that is drawn is positive",
             )
@@ -195,8 +196,8 @@ def doubts(
             found.append(
                 places[name].warning(
                     f"battery '{name}' comes to {100.0 * most / full:.4g} % of its capacity in "
-                    f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond "
-                    "full; the surplus is counted as if it were kept"
+                    f"{_named(line.segment[beyond], segments)}: more than it can hold, {rounded(most - full, 4)} Wh "
+                    "beyond full; the surplus is counted as if it were kept"
                 )
             )
     return (*found, *_beyond(model, line, segments, file))

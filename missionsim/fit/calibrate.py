@@ -27,6 +27,7 @@ from missionsim.fit.provenance import (
     sd_on_other_logs,
 )
 from missionsim.glossary import column_of
+from missionsim.numerals import rounded
 from missionsim.runs.drive import drive
 from missionsim.runs.error import errors_of
 from missionsim.runs.run import Run
@@ -236,8 +237,9 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
         fit = _with_rest(fit, logs, robot.battery)
     for name, value in fit.parameters.items():
         if value.value < 0.0:
+            told, low, high = map(rounded, (value.value, value.low, value.high))
             remarks.append(
-                f"{name} came out negative ({value.value:.3g}, 95 % {value.low:.3g} to {value.high:.3g}): "
+                f"{name} came out negative ({told}, 95 % {low} to {high}): "
                 "the formula lacks something, or the logs do not vary it enough"
             )
     source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}, data {data_tag(logs)}"

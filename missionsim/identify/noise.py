@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING
@@ -350,3 +350,15 @@ def edge_variance(design: Design, noise: Noise, scale: Array) -> tuple[Array, Ar
         out[:, part] = square
         out[:, part.start + 1 : part.stop] += echo * square[:, :-1]
     return out[0], out[1]
+
+
+def mean_variance(noise: Mapping[str, float], seconds: float) -> float:
+    """Variance of the mean of the noise over a run, relative to that of single rows.
+
+    ``2 τ/T (1 − τ/T (1 − exp(−T/τ)))`` for each of its two parts of correlation time τ; white noise averages out.
+    """
+    total = 0.0
+    for part in ("fast", "slow"):
+        reach = noise[f"{part}_s"] / seconds
+        total += noise[f"{part}_share"] * 2.0 * reach * (1.0 - reach * (1.0 - math.exp(-1.0 / reach)))
+    return total

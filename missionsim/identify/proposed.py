@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from typing import ClassVar
 
 from missionsim.files import Json
+from missionsim.numerals import rounded
 
 CLOCKS = frozenset({"time_s", "moving_time_s"})
 """Quantities that pass whatever the robot does: what else rises through a run looks like them."""
@@ -31,6 +32,12 @@ QUANTITY = {
     "scheme": ("control scheme", ""),
 }
 """How people call a quantity, and its unit."""
+
+
+def state(name: str, value: float | str) -> str:
+    """``speed 0.47 m/s``: a quantity and its value."""
+    word, unit = QUANTITY.get(name, (name, ""))
+    return f"{word} {value if isinstance(value, str) else rounded(value, 2)} {unit}".strip()
 
 
 class Record:
@@ -90,6 +97,9 @@ class Curve(Record):
     at: Mapping[str, float | str]
     usual: float
     """Median of the leading quantity where the law acts."""
+    spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Range in the logs of each other quantity that has one."""
+    untold: ClassVar[tuple[str, ...]] = ("spans",)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.identification import Identification
-from missionsim.identify.proposed import CLOCKS, FAR_BETTER, QUANTITY, Curve, Law, Proposal
+from missionsim.identify.noise import mean_variance
+from missionsim.identify.proposed import CLOCKS, FAR_BETTER, QUANTITY, Curve, Law, Proposal, state
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import evaluate, make_grammar
@@ -20,6 +22,7 @@ from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
+from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import repeated
 
@@ -47,6 +50,10 @@ raises the error of left-out runs no further than this, stood in for it as well.
 TWIN = 0.985
 OWN_METER = 0.99
 """Correlation with the measured power from which on a column is that power, or the current of it."""
+MINUTES = (3, 6, 12)
+"""Lengths of the two drives that are to tell forms apart."""
+SEEN_SD = 2.0
+"""Standard deviations of the difference of their means that the forms must differ by."""
 POINTS = 41
 Z95 = 1.96
 
@@ -171,7 +178,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         left_out_energy_pct=(was.energy_without, errors.energy_with),
         better=errors.better,
         runs=errors.acting,
-        experiment=_experiment(laws, curve, possible),
+        experiment=_experiment(laws, curve, possible, found.noise),
         instead_of=instead,
         looks_like=_twin(fitted, ground, found),
     )
@@ -302,12 +309,14 @@ def _curve(laws: Sequence[Law], ground: Ground, relative: float) -> Curve | None
     column = column_of(lead)
     others = {n: v for n, v in typical.items() if n != lead}
     band = ((curves - spread).min(axis=0), (curves + spread).max(axis=0))
-    at, watts, low, high = (tuple(float(v) for v in values) for values in (x, curves[0], *band))
-    return Curve(lead, column[0].unit if column is not None else "", at, watts, low, high, others, float(typical[lead]))
+    at, power_w, low, high = (tuple(float(v) for v in values) for values in (x, curves[0], *band))
+    spans = {n: (float(ranges[n][0]), float(ranges[n][-1])) for n in others if n in ranges and not n.startswith("on_")}
+    unit, usual = column[0].unit if column is not None else "", float(typical[lead])
+    return Curve(lead, unit, at, power_w, low, high, others, usual, spans)
 
 
-def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str]) -> str:
-    """Where the forms differ most, in words."""
+def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str], noise: Mapping[str, float]) -> str:
+    """Where the forms differ most, in words, and how long to drive there; or that no drive shows it."""
     lead = plain(curve.variable) if curve is not None else "the rest"
     if possible:
         told = " and ".join(plain(name) for name in possible)
@@ -315,12 +324,28 @@ def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str
     if curve is None or len(laws) < 2:
         return ""
     x = np.linspace(curve.x[0], curve.x[0] + 1.4 * (curve.x[-1] - curve.x[0]), 2 * POINTS)
-    fixed = {**curve.at, curve.variable: x}
-    curves = np.vstack([law.k * evaluate(law.formula, fixed, len(x)) for law in laws])
-    gap = np.ptp(curves, axis=0)
-    at = int(np.argmax(gap))
-    where = f"{lead} {x[at]:.2g} {curve.unit}".strip()
-    return f"3 min at {where} and 3 min at half of it, the rest as usual: there the forms differ by {gap[at]:.2g} W"
+    # the other quantities as they usually are, or at an end of what was driven
+    ends = [[(name, usual)] for name, usual in curve.at.items()]
+    ends = [[one[0], *((one[0][0], end) for end in curve.spans.get(one[0][0], ()))] for one in ends]
+    best_w, at, beside = -np.inf, "", ""
+    for others in product(*ends):
+        curves = [law.k * evaluate(law.formula, {**dict(others), curve.variable: x}, len(x)) for law in laws]
+        gap = np.ptp(np.vstack(curves), axis=0)
+        if gap.max() > best_w:
+            unit, best_w = f" {curve.unit}" if curve.unit else "", float(gap.max())
+            at = f"{lead} {rounded(x[int(np.argmax(gap))], 2)}{unit}"
+            moved = [state(name, value) for name, value in others if value != curve.at[name]]
+            beside = f"{', '.join(moved)}, the rest as usual" if moved else "the rest as usual"
+    for minutes in MINUTES:
+        # the difference of two means has twice the variance of each
+        shown_w = SEEN_SD * noise["sd_w"] * float(np.sqrt(2.0 * mean_variance(noise, 60.0 * minutes)))
+        if best_w >= shown_w:
+            drive = f"{minutes} min at {at} and {minutes} min at half of it"
+            return f"{drive}, {beside}: there the forms differ by {watts(best_w, 2)}"
+    return (
+        f"no drive near the range of these logs tells the forms apart: they differ by {watts(best_w, 2)} at most ("
+        f"{at}, {beside}), and {MINUTES[-1]} min there and at half of it show {watts(shown_w, 2)}; take any of them"
+    )
 
 
 def plain(name: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from missionsim.files import Json, fields_of
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.task import SchemeChoice, VisitSpec
+from missionsim.numerals import in_wh
 from missionsim.physics import Array
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.pieces import Piece, equipment
@@ -264,7 +265,7 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     task = answer.site.task
     folder = Path(target).absolute().parent if target is not None else task.path.absolute().parent
     shipped, robot = task.robot_ref in shipped_robots(), task.robot.path.absolute()
-    energy = ", ".join(f"{value:.4g} Wh {name}" for name, value in answer.energy_wh.items())
+    energy = ", ".join(f"{in_wh(value)} Wh {name}" for name, value in answer.energy_wh.items())
     lines = [
         f"# Written by `missionsim plan` from {task.path.name}: edit the task, not this file.",
         f"# {answer.duration_s:.1f} s, {energy}; {answer.claim}.",
@@ -304,7 +305,7 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
         body |= {key: value for key, value in equipment(asked).items() if value is not None}
         if leg.visit is not None or (leg.piece is not None and leg.payload_kg != payload_kg):
             body["payload"] = leg.payload_kg
-        left = ", ".join(f"{name} {charge:.4g} Wh" for name, charge in leg.charge_wh.items())
+        left = ", ".join(f"{name} {in_wh(charge)} Wh" for name, charge in leg.charge_wh.items())
         lines.append(f"  - {kind}: {flow(body)}  # {why}then {left}")
     if not answer.legs:
         lines.append("  - wait: {duration: 0 s}")

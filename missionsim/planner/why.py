@@ -12,6 +12,7 @@ import numpy as np
 from missionsim.files import Json
 from missionsim.inputs.task import TaskSpec
 from missionsim.inputs.values import Parameter
+from missionsim.numerals import in_wh, rounded
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, Leg
 from missionsim.planner.orders import MOST_FREE, Order
@@ -72,13 +73,13 @@ def explain(site: Site) -> Json:
         if usable <= 0.0:
             continue
         larger = needed / usable
-        text = f"a battery '{name}' of {_up(larger, 2):.2f} Wh in place of {capacity:.4g} Wh"
+        text = f"a battery '{name}' of {_up(larger, 2):.2f} Wh in place of {rounded(capacity, 4)} Wh"
         to, key = ENOUGH * larger, f"robot.batteries.{name}.capacity"
         changes.append(_change(key, to, "Wh", text, larger / capacity - 1.0))
     changes += [*_one_less(site), *_other_changes(site)]
     lines = []
     for item in short:
-        amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{item['short_wh']:.3f} Wh"
+        amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{in_wh(item['short_wh'])} Wh"
         what = "time" if item["what"] == "time" else f"battery '{item['what']}'"
         where = f"first on {item['leg']} to {item['to']}, all else as asked{unserved.get(item['what'], '')}"
         lines.append(f"{what}: {amount} short, {where}")
@@ -97,7 +98,7 @@ def explain(site: Site) -> Json:
         left = float(site.physics.initial_wh[b] - site.physics.reserve_wh[b])
         needed, leg = _needed(answer, name, left)
         if needed > left:
-            lines.append(f"battery '{name}': {needed - left:.3f} Wh short, first on {_name(leg)} to {leg.place}")
+            lines.append(f"battery '{name}': {in_wh(needed - left)} Wh short, first on {_name(leg)} to {leg.place}")
     return _told(short, changes, lines)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import OF_SCHEME, PARTS
-from missionsim.numerals import rounded
+from missionsim.numerals import in_wh, rounded
 from missionsim.physics import Array
 from missionsim.report.page import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 from missionsim.report.terminal import signed, simple_table
@@ -37,7 +37,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     rows: list[list[str]] = []
     for one in comparison.batteries.values():
         found = one.error_statistics
-        row = [one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}"]
+        row = [one.battery, in_wh(one.energy_measured_wh), in_wh(one.energy_model_wh)]
         row += [_plain(one.energy_error_pct, "+.2f"), rounded(one.power_rmse_w), rounded(one.power_bias_w, sign=True)]
         rows.append([*row, *map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))])
     console.print(simple_table(title, [*columns, ">peak %", ">final %", ">mean %", ">std %"], rows))
@@ -63,7 +63,7 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
     for where in [where for where in one.where if where.explains > 0.0][:WHERE_ROWS]:
         row = [where.title, f"{where.value} {where.unit}".strip(), f"{100.0 * where.explains:.1f}"]
         row += [rounded(where.bias_w, sign=True), f"{where.seconds:.0f}", f"{100.0 * where.share_of_squared_error:.0f}"]
-        rows.append([*row, f"{where.gap_wh:+.3f}"])
+        rows.append([*row, in_wh(where.gap_wh, sign=True)])
     if rows:
         columns = ["quantity", "value", ">explains %", ">bias W", ">time s", ">sq. error %", ">gap Wh"]
         console.print(simple_table(f"Where it fails, battery {one.battery}", columns, rows))
@@ -88,7 +88,7 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
         more = f", the {RUN_ROWS} worst of {len(one.runs)}" if len(one.runs) > RUN_ROWS else ""
         rows = []
         for run in [run for run in one.runs if run in shown]:
-            row = [run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
+            row = [run.run, f"{run.seconds:.0f}", in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
             rows.append([*row, _plain(run.energy_error_pct, "+.2f"), rounded(run.power_rmse_w)])
         columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
         console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))

@@ -9,7 +9,7 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, Dependence
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
-from missionsim.numerals import rounded, watts
+from missionsim.numerals import in_wh, rounded, watts
 from missionsim.report import page as web
 from missionsim.report.compare_files import DIVERGING, error_grid
 from missionsim.report.page import label
@@ -66,8 +66,8 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Blo
         verdict = web.Verdict(text, "good" if inside else "bad")
     gap = one.gap_wh
     tiles = [
-        ("Energy measured", f"{one.energy_measured_wh:.3f} Wh", f"battery {one.battery}"),
-        ("Energy of the model", f"{one.energy_model_wh:.3f} Wh", "driven by the logs"),
+        ("Energy measured", f"{in_wh(one.energy_measured_wh)} Wh", f"battery {one.battery}"),
+        ("Energy of the model", f"{in_wh(one.energy_model_wh)} Wh", "driven by the logs"),
         ("Energy error", f"{signed(error, 2)} %", "model minus measured"),
         ("Power error", watts(one.power_rmse_w), "root mean square"),
         ("Bias", f"{signed(one.power_bias_w)} W", "mean of model minus measured"),
@@ -266,7 +266,7 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
 def _runs(one: BatteryComparison) -> list[web.Block]:
     rows = []
     for run in one.runs:
-        row = [run.run, run.seconds, f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
+        row = [run.run, run.seconds, in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
         rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w), signed(run.power_bias_w)])
     total = sum(one.by_component_wh.values()) or 1.0
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]

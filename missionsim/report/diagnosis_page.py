@@ -11,9 +11,9 @@ import numpy as np
 
 from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved
-from missionsim.diagnose.waterfall import energy_note, measured_note, unseen_note
+from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
-from missionsim.identify.proposed import QUANTITY
+from missionsim.identify.proposed import QUANTITY, state
 from missionsim.numerals import rounded, watts
 from missionsim.report import page as web
 
@@ -81,7 +81,7 @@ def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], s
     cards.append(("Mean power", f"{watts(battery.mean_power_w)}", drives))
     said = [told for told in (sentences.sure(battery), sentences.errors(battery)) if told]
     tone = "bad" if unseen_note(battery) else TONES[battery.verdict]
-    blocks: list[web.Block] = [web.Verdict(words.headline(battery), tone), web.Tiles(cards)]
+    blocks: list[web.Block] = [web.Verdict(words.headline(battery, several), tone), web.Tiles(cards)]
     blocks += [web.Paragraph(told) for told in said]
     if command:
         blocks.append(web.Command("Type this next", command))
@@ -99,10 +99,7 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
         curve = law.curve
         if curve is not None:
             word, unit = QUANTITY.get(curve.variable, (curve.variable, curve.unit))
-            fixed = ", ".join(
-                f"{QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else web.format_cell(v, 2)}"
-                for n, v in curve.at.items()
-            )
+            fixed = ", ".join(state(n, v) for n, v in curve.at.items())
             hover = "%{x:.3g}: %{y:.3g} W<extra></extra>"
             traces = [
                 *web.band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
@@ -121,8 +118,6 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
         columns = ["form", "formula", "k", "from", "to", "unit of k", "nats behind"]
         caption = "Forms that these data cannot tell apart; their numbers serve add-effect --formula"
         blocks.append(web.Table(columns, rows, caption, 3))
-        if law.experiment:
-            blocks.append(web.Paragraph(f"To tell them apart: {law.experiment}."))
     return blocks
 
 
@@ -310,7 +305,7 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     first, last = one.steps[0], one.steps[-2]
     text = "".join(f"{told} " for told in (one.worse, better) if told)
     text += (
-        f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
+        f"{', '.join(one.added) or 'Nothing'} added; the power error on {which} went from "
         f"{rounded(first.power_rmse_w)} to {watts(last.power_rmse_w)}, the energy error from "
         f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
         f"{one.stopped[:1].upper()}{one.stopped[1:]}"
@@ -320,36 +315,36 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     names = [web.label(step.name) for step in one.steps]
     floor = one.steps[-1]
     charts: list[web.Block] = []
-    for title, values, level in (
-        ("power error (RMS), W", [s.power_rmse_w for s in one.steps], floor.power_rmse_w),
-        ("energy error, mean over runs, %", [s.energy_error_pct for s in one.steps], floor.energy_error_pct),
+    powers = [*(rounded(s.power_rmse_w) for s in one.steps[:-1]), power_of_floor(one.steps)]
+    energies = [s.energy_error_pct for s in one.steps]
+    for title, values, texts, level in (
+        ("power error (RMS), W", [s.power_rmse_w for s in one.steps], powers, floor.power_rmse_w),
+        ("energy error, mean over runs, %", energies, list(map(rounded, energies)), floor.energy_error_pct),
     ):
         fitted, added, later = web.COLOURS[1], web.COLOURS[4], web.COLOURS[2]
         colours = [fitted, *([added] * (len(values) > 2)), *([later] * (len(values) - 3)), "#aab2bd"]
         steps: web.Trace = {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False}
-        steps |= {"text": [web.format_cell(v, 3) for v in values], "textposition": "outside"}
-        steps["hovertemplate"] = "%{x}: %{y:.3g}<extra></extra>"
+        steps |= {"text": texts, "textposition": "outside"}
+        steps["hovertemplate"] = "%{x}: %{text}<extra></extra>"
         noise = web.line(names, [level] * len(names), "noise floor", hoverinfo="skip")
         noise["line"] = {"color": web.RESIDUAL, "dash": "dot"}
         layout = {"yaxis": web.axis(title, rangemode="tozero"), "hovermode": "closest"}
         floors = "the noise floor is what a true model would still show"
         caption = f"The {title.split(',')[0]} on {which}, step by step; {floors}."
         charts.append(web.Chart([steps, noise], layout, caption, 360))
-    tone: web.Tone = (
-        "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
-    )
+    better_w = bool(one.added) and last.power_rmse_w < first.power_rmse_w
+    tone: web.Tone = "bad" if one.worse else "warn" if not one.complete else "good" if better_w else "neutral"
     table = web.Table(
         ["model", "energy error, %", "power error (RMS), W"],
-        [[s.name, f"{s.energy_error_pct:.2f}", rounded(s.power_rmse_w)] for s in one.steps],
-        measured_note(one),
-        3,
+        [[s.name, f"{s.energy_error_pct:.2f}", told] for s, told in zip(one.steps, powers, strict=True)],
+        f"Errors on {which}, step by step",
     )
     tiles = web.Tiles(
         [
             ("Added", str(len(one.added)), ", ".join(one.added)),
             ("Power error", f"{rounded(first.power_rmse_w)} → {watts(last.power_rmse_w)}", which),
-            ("Noise floor", watts(floor.power_rmse_w), "noise, and runs whose meters and drives differ"),
+            ("Noise floor", f"{power_of_floor(one.steps)} W", "noise, and runs whose meters and drives differ"),
         ]
     )
     typed = [web.Command("Type this next", command)] if command else []
-    return [web.Verdict(text, tone), *typed, tiles, *charts, table]
+    return [web.Verdict(text, tone), *typed, tiles, *charts, table, web.Paragraph(measured_note(one), small=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+from missionsim.numerals import in_wh
 from missionsim.planner.answer import Answer
 from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Trace, Verdict, axis, page
 from missionsim.report.site_map import map_of_plan, site_chart
@@ -21,7 +22,7 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
     names = list(answer.energy_wh)
     tiles = [("Duration", f"{answer.duration_s / 60.0:.1f} min", "")]
     tiles += [
-        (f"Battery {name}", f"{answer.energy_wh[name]:.3f} Wh", f"{answer.charge_left_wh[name]:.3f} Wh left")
+        (f"Battery {name}", f"{in_wh(answer.energy_wh[name])} Wh", f"{in_wh(answer.charge_left_wh[name])} Wh left")
         for name in names
     ]
     if sure := answer.extra.get("probability"):
@@ -31,7 +32,7 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
     for leg in answer.legs:
         piece = leg.piece
         way = ("", "", None) if piece is None else (piece.name, piece.legs[0].settings.scheme, piece.limit_m_s)
-        wh = [f"{part[name]:.3f}" for part in (leg.energy_wh, leg.charge_wh) for name in names]
+        wh = [in_wh(part[name]) for part in (leg.energy_wh, leg.charge_wh) for name in names]
         rows.append([leg.kind, leg.place, *way, leg.duration_s, *wh])
     columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name}, Wh" for name in names)]
     legs = Table([*columns, *(f"{name} left, Wh" for name in names)], rows)
@@ -61,6 +62,6 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
         ]
         sections.append(Section("What else there was", [Table(["plan", "worse, %", "s"], rows)]))
     if front := answer.extra.get("pareto"):
-        rows = [[point["duration_s"], *(f"{wh:.3f}" for wh in point["energy_wh"].values())] for point in front]
+        rows = [[point["duration_s"], *(in_wh(wh) for wh in point["energy_wh"].values())] for point in front]
         sections.append(Section("Energy against time", [Table(["s", *(f"{name}, Wh" for name in names)], rows)]))
     return page(title, sections, footer=footer)

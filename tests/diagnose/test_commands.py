@@ -108,7 +108,7 @@ def test_heldout_error_falls(diagnosis: dict[str, Any]) -> None:
 def test_nothing_hidden_nothing_named(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(f"diagnose --robot pioneer3dx {folders['clean']}") == 0
     told = capsys.readouterr().out
-    assert "no evidence of anything missing above the detection limits" in " ".join(told.split())
+    assert "No evidence of anything missing above the detection limits" in " ".join(told.split())
     for heading in ("CLOCK", "NOISE", "NOT SEEN", "REMAINS", "HELD-OUT"):
         assert heading in told
 

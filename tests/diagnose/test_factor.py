@@ -32,7 +32,7 @@ def test_one_factor_on_everything_names_no_effect() -> None:
     assert found.effects == ()
     assert not any(c.accepted for c in found.candidates)
     told = words.headline(found)
-    assert told.startswith("Battery robot: the meter reads 1.5")
+    assert told.startswith("The meter reads 1.5")
     assert told.count("times what the model gives") == 1
     assert "check the units of the log" in told
     reasons = {c.effect: c.reason for c in found.candidates}  # those that add-effect refuses with

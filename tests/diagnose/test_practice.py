@@ -61,4 +61,4 @@ def test_nothing_hidden_nothing_named(shared: Path) -> None:
     found = diagnosis(shared, "nothing-1")
     assert found.verdict == "nothing_missing"
     assert found.effects == ()
-    assert "no evidence of anything missing" in words.headline(found)
+    assert "No evidence of anything missing" in words.headline(found)

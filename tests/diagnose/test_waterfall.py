@@ -11,8 +11,9 @@ import pytest
 
 from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved, _why
-from missionsim.diagnose.waterfall import Step, energy_note, mean_variance, noise_floor, noted
+from missionsim.diagnose.waterfall import Step, energy_note, measured_note, noise_floor, noted, power_of_floor
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
+from missionsim.identify.noise import mean_variance
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from tests.diagnose.test_words import BATTERY, HELD
 
@@ -164,7 +165,7 @@ def test_an_error_that_only_recalibration_lowers_is_said_so() -> None:
 def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> None:
     """1.2 % is the floor of these logs: runs that are hotter than all that were fitted, 20 % off."""
     quiet = replace(BATTERY, effects=(), verdict="nothing_missing", runs=("a", "b", "c", "d"))
-    assert "no evidence of anything missing" in words.headline(quiet)
+    assert "No evidence of anything missing" in words.headline(quiet)
     assert _why(quiet, ()) == "nothing is left above the detection limits."
     held = HeldOut("the last run", ("run_05",), {"nominal": 20.0, "recalibrated": 20.6, "with_effects": 20.6}, HELD)
     far = replace(quiet, heldout=held)
@@ -173,7 +174,7 @@ def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> Non
     for told in (words.headline(far), _why(far, ()), _why(shaped, ())):
         assert "something is missing that the fitted runs do not show" in told
         assert "20.0 %" in told
-        assert "no evidence" not in told
+        assert "evidence" not in told
         assert "nothing is left" not in told
     mended = replace(far, heldout=replace(held, energy_error_pct={**held.energy_error_pct, "recalibrated": 1.3}))
     assert "fitted runs do not show" not in words.headline(mended)  # that is a base to be fitted anew
@@ -190,3 +191,23 @@ def test_a_base_that_is_off_is_told_with_the_command_that_fits_it() -> None:
     assert sentences.next_step(quiet, "my.yaml", ["train"]) == command
     near = (Step("before", 0.9, 7.2), *bars[1:])
     assert replace(improved(1.0), added=(), steps=near).advice("my.yaml", ["train"]) == ("", "")
+
+
+def test_a_model_beside_which_something_remains_is_not_good() -> None:
+    done = improved(0.1)
+    left = "something remains that the library does not contain: a load."
+    assert "verdict warn" in improve_page("r", [replace(done, stopped=left)])
+    assert "verdict good" in improve_page("r", [replace(done, stopped=_why(BATTERY, ()))])
+    assert "verdict bad" in improve_page("r", [replace(improved(3.0), stopped=_why(BATTERY, ()))])
+
+
+def test_a_noise_floor_that_no_model_is_above_is_told_as_a_bound() -> None:
+    clear = improved(0.7)
+    assert "noise floor" not in measured_note(clear)
+    assert power_of_floor(clear.steps) == "0.340"
+    cut = replace(clear, steps=(*clear.steps[:-1], Step("noise floor", 0.6, 0.57)))
+    assert power_of_floor(cut.steps) == "≤ 0.570"
+    assert "≤ 0.570" in improve_page("r", [cut])
+    assert "at most the error of the last model" in measured_note(cut)
+    lucky = measured_note(improved(0.3, runs=4))  # 0.6 (1 ± 2 sqrt(pi/2 - 1) / 2)
+    assert "over 4 runs a true model shows 0.15 to 1.05 %" in lucky

@@ -95,7 +95,7 @@ def text(battery: BatteryDiagnosis) -> str:
 
 def test_found() -> None:
     assert words.headline(BATTERY) == (
-        "Battery robot: Climbing costs 3.3 % of the energy that the model does not know; that is grade."
+        "Climbing costs 3.3 % of the energy that the model does not know; that is grade."
     )
     told = text(BATTERY)
     assert "WHERE slope 2 to 4 °: 40 % of the squared error" in told
@@ -172,7 +172,7 @@ def test_a_set_of_two_is_never_called_the_cause() -> None:
 def test_nothing_and_something_unknown() -> None:
     nothing = replace(BATTERY, verdict="nothing_missing", effects=())
     assert "nothing missing above" not in words.headline(BATTERY)
-    assert "no evidence of anything missing above the detection limits (1.1 to 1.1 % of" in words.headline(nothing)
+    assert "No evidence of anything missing above the detection limits (1.1 to 1.1 % of" in words.headline(nothing)
     unknown = replace(
         nothing, verdict="unexplained_structure", unexplained=Unexplained(0.3, ("yaw_rate_rad_s",), "form not right")
     )
@@ -212,8 +212,8 @@ def test_the_page_shows_what_looks_alike() -> None:
 def test_errors_with_the_effects_and_with_a_law_beside_them_are_told_apart() -> None:
     law = SimpleNamespace(heldout_rmse_w=(1.2, 0.9), heldout_energy_pct=(1.2, 1.1))
     told = sentences.errors(replace(BATTERY, proposed_laws=(law,)))
-    assert "is 1.2 W with grade, 0.9 W with the law as well (energy 4.60 → 1.20 → 1.10 %)" in told
-    assert "is 1.2 W with it (energy 4.60 → 1.20 %)" in sentences.errors(BATTERY)
+    assert "is 1.20 W with grade, 0.900 W with the law as well (energy 4.60 → 1.20 → 1.10 %)" in told
+    assert "is 1.20 W with it (energy 4.60 → 1.20 %)" in sentences.errors(BATTERY)
 
 
 def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
@@ -222,3 +222,12 @@ def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
     assert "that it is grade is not: beside it k1" in sentences.sure(doubted)
     assert words.found_line(doubted.effects[0]).endswith("; beside it k1 falls below nothing")
     assert "that is grade" in words.headline(BATTERY)
+
+
+def test_a_battery_is_named_where_there_are_several() -> None:
+    assert "Battery" not in words.headline(replace(BATTERY, effects=(GRADE, PAYLOAD)))
+    assert words.headline(BATTERY, several=True).startswith("Battery robot: Climbing costs")
+    both = {name: replace(BATTERY, battery=name) for name in ("robot", "laptop")}
+    page = diagnosis_page(Diagnosis("pioneer3dx", both))
+    assert page.count("Battery laptop: Climbing costs") == 1
+    assert "Battery robot: Climbing" not in diagnosis_page(Diagnosis("pioneer3dx", {"robot": BATTERY}))

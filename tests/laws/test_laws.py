@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from missionsim.inputs.edit import robot_text
 from missionsim.labels import Labels
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.grammar import Grammar, unit_of
+from missionsim.laws.proposal import _experiment
 
 from .study import diagnose, held_by_band, judge
 from .world import LAWS, Made, make
@@ -285,3 +287,18 @@ def _effects(text: str) -> list[Any]:
 def test_neither_effect_nor_formula_is_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["add-effect", "--robot", "pioneer3dx", str(tmp_path), "--out", str(tmp_path / "out.yaml")]) == 2
     assert "either --effect or --formula" in capsys.readouterr().err
+
+
+def test_forms_that_no_meter_tells_apart_ask_for_no_drive() -> None:
+    """Two forms that differ in the speed alone: by 2 W at most; then under noise that hides that in any length."""
+    one, other = (replace(law().first, formula=f, k=10.0) for f in ("k * slope_rad", "k * slope_rad * abs(speed_m_s)"))
+    curve = Curve("slope_rad", "rad", (0.0, 0.2), (0.0, 2.0), (0.0, 1.5), (0.0, 2.5), {"speed_m_s": 1.0}, 0.1,
+                  {"speed_m_s": (0.5, 2.0)})  # fmt: skip
+    noise = {"sd_w": 0.3, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3}
+    drive = _experiment((one, other), curve, (), noise)
+    assert drive.startswith("3 min at slope 0.28 rad and 3 min at half of it, speed 2.0 m/s, the rest as usual")
+    assert drive.endswith("there the forms differ by 2.8 W")
+    none = _experiment((one, other), curve, (), noise | {"sd_w": 30.0})
+    assert none.startswith("no drive near the range of these logs tells the forms apart: they differ by 2.8 W at most")
+    longer = _experiment((one, other), curve, (), noise | {"sd_w": 3.6})
+    assert longer.startswith("6 min at slope")
