@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from missionsim.files import Json, fields_of, write_text
+from missionsim.identify.settings import ALPHA
 from missionsim.numerals import in_wh, rounded, watts
 
 if TYPE_CHECKING:
@@ -218,7 +219,7 @@ def diagnose(
     holdout: str | Sequence[str | Path] | None = None,
     mission: PathLike | None = None,
     battery: str | None = None,
-    alpha: float = 0.002,
+    alpha: float = ALPHA,
     align: bool = True,
 ) -> Answer[Diagnosis]:
     """Find which physical effect is missing; see ``missionsim diagnose``.

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from missionsim.errors import Fault, InputError, visible
 from missionsim.files import to_json, write_text
+from missionsim.identify.settings import ALPHA  # a module that loads nothing: the command line begins at once
 from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from missionsim.identify.settings import Settings
     from missionsim.inputs.robot import RobotSpec
     from missionsim.logs import LogTable
-
-FALSE_ALARM_RATE = 0.002
-"""`missionsim.identify.settings.ALPHA`, which would load NumPy here."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +151,7 @@ class Search:
     robot: str
     battery: str | None = None
     holdout: list[str] | None = None
-    alpha: float = FALSE_ALARM_RATE
+    alpha: float = ALPHA
     no_align: bool = False
 
     def check(self, logs: Sequence[Path]) -> None:
@@ -180,7 +178,7 @@ class Search:
         """The options that are not as by default, but the robot, as they are typed."""
         words = [] if self.battery is None else ["--battery", self.battery]
         words += [word for one in self.holdout or () for word in ("--holdout", one)]
-        words += [] if self.alpha == FALSE_ALARM_RATE else ["--alpha", f"{self.alpha:g}"]
+        words += [] if self.alpha == ALPHA else ["--alpha", f"{self.alpha:g}"]
         return shlex.join([*words, *(["--no-align"] if self.no_align else [])])
 
     def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split, list[LogTable], list[str]]:

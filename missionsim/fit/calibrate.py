@@ -238,10 +238,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     for name, value in fit.parameters.items():
         if value.value < 0.0:
             told, low, high = map(rounded, (value.value, value.low, value.high))
-            remarks.append(
-                f"{name} came out negative ({told}, 95 % {low} to {high}): "
-                "the formula lacks something, or the logs do not vary it enough"
-            )
+            why = "the formula lacks something that goes along with it: add that, or let missionsim diagnose name it"
+            if value.high > 0.0:
+                why = "these logs do not tell it from zero: leave its term out of --base, or vary it more"
+            remarks.append(f"{name} came out negative ({told}, 95 % {low} to {high}): {why}")
     source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}, data {data_tag(logs)}"
     text = _text(robot, fit.parameters, components, standing, logs, source)
     written = _load(text)

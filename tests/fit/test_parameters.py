@@ -15,7 +15,7 @@ from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
-from tests.diagnose.logs import drive
+from tests.diagnose.logs import drawing, drive
 
 LOGS = [drive(seed, seconds=300.0) for seed in range(4)]
 
@@ -158,3 +158,15 @@ def test_hashes_tell_logs_apart(tmp_path: Path) -> None:
     assert fitted_to(f"fitted to 2 runs, data {data_tag([one, two])}", [two])
     assert not fitted_to("Table 2", [one])
     assert "fitted to" not in robot_text("pioneer3dx")
+
+
+@pytest.mark.parametrize(
+    ("less_w_s_m", "told"), [(10.5, "c3 came out negative (−0.2"), (14.0, "c3 came out negative (−3.7")]
+)
+def test_a_negative_coefficient_is_told_with_what_to_do(less_w_s_m: float, told: str) -> None:
+    drives = (drive(seed, seconds=240.0) for seed in range(3))
+    logs = [drawing(log, log.power_w["robot"] - less_w_s_m * log.columns["speed_m_s"]) for log in drives]
+    (remark,) = (r for r in calibrate_new(NewRobot("cart", "c2*v**2 + c3*v + c4"), logs).remarks if "c3" in r)
+    assert remark.startswith(told)
+    assert ("leave its term out of --base" in remark) == (less_w_s_m < 12.0)
+    assert ("missionsim diagnose" in remark) == (less_w_s_m > 12.0)

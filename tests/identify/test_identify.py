@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import inspect
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from missionsim import interface
-from missionsim.cli.options import FALSE_ALARM_RATE
+from missionsim.cli.options import ALPHA
 from missionsim.identify import stepwise
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
@@ -212,7 +214,9 @@ def test_what_three_runs_show_is_named():
 
 def test_the_command_line_has_the_level_of_the_method():
     told = inspect.signature(interface.diagnose).parameters["alpha"].default
-    assert Settings().alpha == FALSE_ALARM_RATE == told
+    assert Settings().alpha == ALPHA == told
+    code = "import missionsim.cli.options, missionsim.identify.settings, sys; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0  # the command line begins at once
 
 
 def loaded(rng: np.random.Generator, name: str, idle: bool, watts: float) -> RunData:
