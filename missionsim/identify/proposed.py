@@ -97,6 +97,7 @@ class Curve(Record):
     at: Mapping[str, float | str]
     usual: float
     """Median of the leading quantity where the law acts."""
+    _: KW_ONLY
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Range in the logs of each other quantity that has one."""
     untold: ClassVar[tuple[str, ...]] = ("spans",)

@@ -312,7 +312,7 @@ def _curve(laws: Sequence[Law], ground: Ground, relative: float) -> Curve | None
     at, power_w, low, high = (tuple(float(v) for v in values) for values in (x, curves[0], *band))
     spans = {n: (float(ranges[n][0]), float(ranges[n][-1])) for n in others if n in ranges and not n.startswith("on_")}
     unit, usual = column[0].unit if column is not None else "", float(typical[lead])
-    return Curve(lead, unit, at, power_w, low, high, others, usual, spans)
+    return Curve(lead, unit, at, power_w, low, high, others, usual, spans=spans)
 
 
 def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str], noise: Mapping[str, float]) -> str:

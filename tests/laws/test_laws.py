@@ -293,7 +293,7 @@ def test_forms_that_no_meter_tells_apart_ask_for_no_drive() -> None:
     """Two forms that differ in the speed alone: by 2 W at most; then under noise that hides that in any length."""
     one, other = (replace(law().first, formula=f, k=10.0) for f in ("k * slope_rad", "k * slope_rad * abs(speed_m_s)"))
     curve = Curve("slope_rad", "rad", (0.0, 0.2), (0.0, 2.0), (0.0, 1.5), (0.0, 2.5), {"speed_m_s": 1.0}, 0.1,
-                  {"speed_m_s": (0.5, 2.0)})  # fmt: skip
+                  spans={"speed_m_s": (0.5, 2.0)})  # fmt: skip
     noise = {"sd_w": 0.3, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3}
     drive = _experiment((one, other), curve, (), noise)
     assert drive.startswith("3 min at slope 0.28 rad and 3 min at half of it, speed 2.0 m/s, the rest as usual")

@@ -201,7 +201,7 @@ def test_a_parameter_that_is_nearly_a_column_is_told(tmp_path: Path, capsys: pyt
             ("p1*1", "-30*p1"),
             ("", ""),
             "bot.yaml:8:48: warning: the power of 'lidar' is negative: it charges battery "
-            "'main' with 1.29 Wh in segment 'drive'; is the sign right?",
+            "'main' with 1.290 Wh in segment 'drive'; is the sign right?",
         ),
         (("power: k*1", "power: -60*k*v"), ("", ""), "bot.yaml:10:39: warning: the power of 'own' is negative"),
         (("c2*v + c4", "c2*v + c4 + 900*a*v"), ("", ""), "bot.yaml:6:51: warning: the power of 'motion' is negative"),
