@@ -209,6 +209,13 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     standing = all("speed_m_s" in log.columns for log in logs)
     if standing:
         rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)
+        if parameters and rest >= sum(float(np.sum(log.dt_s)) for log in logs):
+            raise InputError.single(
+                "the robot stands still in every row, so that these logs say nothing of the power while it moves",
+                file="--base",
+                got=robot.base,
+                allowed="0, which fits the power at rest alone; or logs in which it moves",
+            )
         standing = rest >= SHORTEST_STANDING_S
         if not standing:
             remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")

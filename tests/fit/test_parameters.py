@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -149,6 +150,15 @@ def test_a_formula_whose_parameters_cannot_be_told_apart() -> None:
         calibrate_new(NewRobot("rover", "k1*v + k2*v + k3"), LOGS)
     with pytest.raises(InputError, match="which not every log has"):
         calibrate_new(NewRobot("rover", "k1*theta + k3"), LOGS)
+
+
+def test_logs_of_a_robot_that_stands_still_say_nothing_of_driving() -> None:
+    still = [replace(log, columns=log.columns | {"speed_m_s": np.zeros(log.rows)}) for log in LOGS]
+    with pytest.raises(InputError, match="stands still in every row"):
+        calibrate_new(NewRobot("rover", "c3*v + c4"), still)
+    fit = calibrate_new(NewRobot("rover", "0"), still).fit
+    assert list(fit.parameters) == ["standing"]
+    assert fit.parameters["standing"].value == pytest.approx(np.mean([log.power_w["robot"].mean() for log in still]))
 
 
 def test_hashes_tell_logs_apart(tmp_path: Path) -> None:
