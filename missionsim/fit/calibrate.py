@@ -202,23 +202,24 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     parameters = sorted(
         n for n in formula.names if not (n in ALIASES or n in shared or column_of(n) is not None or n in FUNCTIONS)
     )
-    if not parameters:
-        raise InputError.single(
-            "--base has no parameter that could be fitted", got=robot.base, allowed="names of your own: 'c3*v + c4'"
-        )
-    standing = all("speed_m_s" in log.columns for log in logs)
+    standing, still = all("speed_m_s" in log.columns for log in logs), False
     if standing:
         rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)
-        if parameters and rest >= sum(float(np.sum(log.dt_s)) for log in logs):
-            raise InputError.single(
-                "the robot stands still in every row, so that these logs say nothing of the power while it moves",
-                file="--base",
-                got=robot.base,
-                allowed="0, which fits the power at rest alone; or logs in which it moves",
-            )
+        still = rest >= sum(float(np.sum(log.dt_s)) for log in logs)
         standing = rest >= SHORTEST_STANDING_S
         if not standing:
             remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")
+    if still and parameters:
+        raise InputError.single(
+            "the robot stands still in every row, so that these logs say nothing of the power while it moves",
+            file="--base",
+            got=robot.base,
+            allowed="0, which fits the power at rest alone; or logs in which it moves",
+        )
+    if not (still or parameters):
+        raise InputError.single(
+            "--base has no parameter that could be fitted", got=robot.base, allowed="names of your own: 'c3*v + c4'"
+        )
     if standing and "standing" in parameters:
         raise InputError.single(
             "'standing' is the name of the power at rest; call the parameter otherwise", got=robot.base

@@ -153,12 +153,14 @@ def test_a_formula_whose_parameters_cannot_be_told_apart() -> None:
 
 
 def test_logs_of_a_robot_that_stands_still_say_nothing_of_driving() -> None:
-    still = [replace(log, columns=log.columns | {"speed_m_s": np.zeros(log.rows)}) for log in LOGS]
+    motion = ("speed_m_s", "yaw_rate_rad_s")
+    still = [replace(log, columns=log.columns | dict.fromkeys(motion, np.zeros(log.rows))) for log in LOGS]
     with pytest.raises(InputError, match="stands still in every row"):
         calibrate_new(NewRobot("rover", "c3*v + c4"), still)
-    fit = calibrate_new(NewRobot("rover", "0"), still).fit
-    assert list(fit.parameters) == ["standing"]
-    assert fit.parameters["standing"].value == pytest.approx(np.mean([log.power_w["robot"].mean() for log in still]))
+    made = calibrate_new(NewRobot("rover", "0"), still)
+    assert set(made.fit.parameters) == {"standing", "kinect.power"}
+    rest = made.fit.parameters["standing"].value
+    assert min(log.power_w["robot"].min() for log in still) < rest < np.mean([log.power_w["robot"] for log in still])
 
 
 def test_hashes_tell_logs_apart(tmp_path: Path) -> None:
