@@ -67,8 +67,12 @@ def run_command(arguments: Sequence[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="missionsim")
+    closed = sys.stdout is None  # as of a service without a terminal
+    sys.stdout, sys.stderr = (open(os.devnull, "w") if one is None else one for one in (sys.stdout, sys.stderr))  # noqa: SIM115
     word = next(iter(arguments), "")
     try:
+        if closed and ("--json=-" in arguments or ("--json", "-") in itertools.pairwise(arguments)):
+            raise InputError.single("standard output is closed", got="--json -", allowed="--json FILE")
         if word and not word.startswith("-") and word not in COMMANDS:
             raise InputError.unknown(f"there is no command '{word}'", word, COMMANDS)
         if "" in arguments:

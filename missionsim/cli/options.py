@@ -39,7 +39,6 @@ class Target:
 OutFile = Annotated[Path, Target("file")]
 OutPicture = Annotated[Path, Target("file", "a picture", (".png", ".svg"))]
 OutPage = Annotated[Path, Target("file", "a page", (".html", ".htm"))]
-OutTable = Annotated[Path, Target("file", "a table", (".csv", ".parquet"))]
 OutRecording = Annotated[Path, Target("file", "a recording", (".mcap",))]
 RobotFile = Annotated[Path, Target("file", "a robot file", (".yaml", ".yml"))]
 OutFolder = Annotated[Path, Target("folder")]

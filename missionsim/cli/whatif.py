@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, OutTable
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, Target
 from missionsim.cli.run import clock
 from missionsim.errors import InputError
 from missionsim.inputs.overrides import split_assignment
 from missionsim.numerals import in_wh
 from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
-from missionsim.results.write import write_table
+from missionsim.results.write import TABLES, write_table
 from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Task, compare_alternatives
 
 MOST_TERMS = 5
@@ -29,7 +29,7 @@ def whatif(
     montecarlo: int = 0,
     seed: int = 0,
     workers: int = 1,
-    out: OutTable | None = None,
+    out: Annotated[Path, Target("file", "a table", TABLES)] | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Run the alternatives of a mission and print one table: what each changes by battery, duration and term.

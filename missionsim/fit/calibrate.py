@@ -25,6 +25,7 @@ from missionsim.fit.provenance import (
     fitted_to,
     ranges_of,
     sd_on_other_logs,
+    short_of,
 )
 from missionsim.glossary import column_of
 from missionsim.numerals import rounded
@@ -253,6 +254,7 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}, data {data_tag(logs)}"
     text = _text(robot, fit.parameters, components, standing, logs, source)
     written = _load(text)
+    remarks += short_of(text, robot.battery, logs)
     after = errors_of(written, [log for log in logs if robot.battery in log.power_w], robot.battery)
     return Calibration(text, (replace(fit, model=written, after=after),), (*fit.remarks, *remarks))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,3 +101,18 @@ def ranges_of(runs: Sequence[Run]) -> Json:
         if len(values):
             found[name] = [float(f"{limit:.4g}") for limit in (np.min(values), np.max(values))]
     return found
+
+
+def short_of(text: str, battery: str, logs: Sequence[Run]) -> Iterator[str]:
+    """In words, what the robot of a file can do less than the one that was logged."""
+    from missionsim.inputs.loading import robot_from_text
+
+    spec = robot_from_text(text)
+    top, held_wh = spec.body.max_speed.value, spec.batteries[battery].capacity_wh
+    speeds = [np.abs(log.number("speed_m_s")) for log in logs if "speed_m_s" in log.columns]
+    fastest = max((float(np.nanmax(speed)) for speed in speeds), default=0.0)
+    most_wh = max(log.energy_wh(battery) for log in logs if battery in log.power_w)
+    if top < 0.9 * fastest:
+        yield f"the top speed, {top:.3g} m/s, is below the {fastest:.3g} m/s of the logs"
+    if held_wh < most_wh:
+        yield f"the capacity, {held_wh:.3g} Wh, is less than the {most_wh:.3g} Wh that one of the runs took"

@@ -31,9 +31,14 @@ class Mapper:
         self.clock = "own"
         offered = raw.names or tuple(raw.columns)
         known = {*offered, *self.constants, *spec.let, *spec.columns}
-        self.let = {name: self._compile(text, ("let", name), known) for name, text in spec.let.items()}
+        self.let = {
+            name: self._compile(text, ("let", name), known - ({name} - {*offered})) for name, text in spec.let.items()
+        }
         self.columns = {
-            name: {key: self._compile(text, spec.formula_path(name, key), known) for key, text in column.formulas()}
+            name: {
+                key: self._compile(text, spec.formula_path(name, key), known - ({name} - {*offered, *self.constants}))
+                for key, text in column.formulas()
+            }
             for name, column in spec.columns.items()
         }
         self.keep = self._compile(spec.keep, ("keep",), known) if spec.keep is not None else None

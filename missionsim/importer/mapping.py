@@ -154,7 +154,11 @@ def import_source(
     if left_out is not None:
         left_out += faults
     if not logs:
-        raise InputError.single("no run is left after 'keep' and 'runs'", file=str(given[0]))
+        split = spec.keep or spec.runs.by
+        message = (
+            "no run is left after 'keep' and 'runs'" if split else "no run of two rows or more, in which time goes on"
+        )
+        raise InputError.single(message, file=str(given[0]))
     return logs
 
 

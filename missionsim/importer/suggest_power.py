@@ -25,7 +25,7 @@ _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
     power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
-    power = [guess for guess in power if not _counts(draft, guess)]
+    power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]

@@ -166,7 +166,7 @@ Drive = Literal["differential", "skid_steer", "mecanum", "omni", "ackermann"]
 class BodySpec(Model):
     """Mass, drive and limits."""
 
-    mass: values.Mass | None = None
+    mass: values.BodyMass | None = None
     drive: Drive
     max_speed: values.Speed
     max_lateral_speed: values.Speed | None = None

@@ -203,14 +203,16 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     dotted = labels
     if raw.decimal != ".":
         dotted = Labels(labels.codes, tuple(word.replace(raw.decimal, ".") for word in labels.names))
-    numbers = numbers_of(dotted, _number)
+    numbers = numbers_of(dotted, number_of)
     written = labels.codes >= 0
     bad = written & np.isnan(numbers)
     if not bad.any():
         return numbers
     if bad.sum() > (1 - _MOSTLY_NUMBERS) * written.sum():
         units = {found[2] for word in dotted.names if (found := _WITH_UNIT.match(word))}
-        if not units <= {*_SCALES, "%"} or isinstance(read := numbers_in(dotted, name), Labels):
+        known = column_of(name)
+        fitting = _OF.get(known[0].unit, {}) if known else _SCALES
+        if not units <= fitting.keys() or isinstance(read := numbers_in(dotted, name), Labels):
             return labels
         told = f"each cell has a unit behind its number ({', '.join(sorted(filter(None, units)))})"
         raw.remarks.append(Remark("format", name, told, "read without prefix, speeds in m/s", "note"))
@@ -223,12 +225,14 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
 
 
 _WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(%|[A-Za-zµ°/]{1,5}\d?)?\s*\Z")
-_SCALES = {
-    "V": 1.0, "mV": 1e-3, "kV": 1e3, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "W": 1.0, "mW": 1e-3, "uW": 1e-6,
-    "kW": 1e3, "Wh": 1.0, "mWh": 1e-3, "kWh": 1e3, "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6,
-    "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704, "rad/s": 1.0, "deg/s": np.pi / 180, "°/s": np.pi / 180,
+_OF = {
+    "W": {"W": 1.0, "mW": 1e-3, "uW": 1e-6, "kW": 1e3}, "Wh": {"Wh": 1.0, "mWh": 1e-3, "kWh": 1e3}, "1": {"%": 1.0},
+    "V": {"V": 1.0, "mV": 1e-3, "kV": 1e3}, "A": {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "°/s": np.pi / 180},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704},
 }  # fmt: skip
-"""Unit in a cell → what a number in it is multiplied by."""
+"""Unit of a column → units that its cells may have → what a number with one is multiplied by."""
+_SCALES = {unit: size for units in _OF.values() for unit, size in units.items()}
 
 
 def numbers_in(labels: Labels, name: str = "") -> ColumnData:
@@ -249,9 +253,10 @@ def numbers_in(labels: Labels, name: str = "") -> ColumnData:
     return labels if few else numbers
 
 
-def _number(word: str) -> float:
+def number_of(word: str) -> float:
+    """The number of a cell, nan where it holds none: ``1_000`` and digits of other scripts are none."""
     try:
-        return float(word)
+        return float(word) if word.isascii() and "_" not in word else float("nan")
     except ValueError:
         return float("nan")
 

@@ -64,7 +64,7 @@ def read_logs(
     each: Callable[[Run], Run] | None = None,
     left_out: list[str] | None = None,
 ) -> list[Run]:
-    """Read several logs; a folder stands for every ``.csv`` and ``.parquet`` in it, by name.
+    """Read several logs; a folder stands for every ``.csv``, ``.tsv`` and ``.parquet`` in it, by name.
 
     Runs of the same name (from two folders) get the folder's name in front. Files of the same content are one run, and
     a remark of it names them. What `each` makes of a log is kept in its place.

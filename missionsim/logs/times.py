@@ -132,7 +132,7 @@ def close_jumps(time_s: Array, remarks: list[Remark], usual: float | None = None
     if len(step) < 2:
         return time_s
     usual = float(np.nanmedian(np.abs(step))) if usual is None else usual
-    jumps = np.flatnonzero(step > max(_JUMP_S, 1000.0 * usual))
+    jumps = np.flatnonzero((step > max(_JUMP_S, 1000.0 * usual)) & np.isfinite(step))
     if not len(jumps):
         return time_s
     left = max(6.0 * usual, usual + 1.0)

@@ -178,6 +178,10 @@ def write_results(result: RunResult, folder: str | Path, format: Format = "csv")
     return written
 
 
+TABLES = (".csv", ".parquet")
+"""How the name of a table may end."""
+
+
 def write_table(table: Table, path: str | Path) -> Path:
     """Write a table as CSV or Parquet by the suffix of its name; None becomes an empty cell (CSV) or null."""
     path = Path(path)

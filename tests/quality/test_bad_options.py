@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -129,3 +131,82 @@ def test_a_folder_that_begins_with_a_tilde(tmp_path: Path, root: Path, monkeypat
     words = ["montecarlo", str(root / MISSION), "--runs", "5", "--sobol", "0", "--quiet", "--out", "~/batch"]
     assert run_command(words) == 0
     assert list(Path("~/batch").glob("blocks/*.parquet"))
+
+
+MAP = "kind: map\nname: m\ncolumns: {time_s: time_s, power_robot_w: power_robot_w}\n"
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("caps.csv", "TIME_S,POWER_ROBOT_W\n0,1\n1,2\n2,3\n", "did you mean: TIME_S"),
+        ("header.csv", "time_s,power_robot_w\n", "no run of two rows or more"),
+        ("backwards.csv", "time_s,power_robot_w\n3,1\n2,2\n1,3\n", "no run of two rows or more"),
+        ("share.csv", "time_s,power_robot_w\n0,50 %\n1,40 %\n2,30 %\n", "this column holds text"),
+        ("speed.csv", "time_s,power_robot_w\n0,5 m/s\n1,4 m/s\n2,3 m/s\n", "this column holds text"),
+        ("run.csv.gz", b"\x1f\x8b\x08\0", "this is packed (gzip)"),
+        ("run.xlsx", b"PK\x03\x04\0\0", "this is packed (zip, or a spreadsheet)"),
+    ],
+)
+def test_tables_that_a_map_cannot_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: str | bytes, told: str
+) -> None:
+    (tmp_path / "map.yaml").write_text(MAP)
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    words = ["--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "log.csv")]
+    assert run_command(["import", str(tmp_path / name), *words]) == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "log.csv").exists()
+
+
+@pytest.mark.filterwarnings("error")
+def test_cells_and_times_that_only_look_like_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = ["12.5"] * 40
+    cells[7:9] = ["1_000", "١٢"]
+    rows = [f"{'inf' if i == 20 else i},{cell}" for i, cell in enumerate(cells)]
+    # text, whatever its name says: Arrow would unpack it
+    (tmp_path / "run.csv.gz").write_text("time_s,power_robot_w\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(MAP)
+    out = tmp_path / "log.csv"
+    assert (
+        run_command(["import", str(tmp_path / "run.csv.gz"), "--map", str(tmp_path / "map.yaml"), "--out", str(out)])
+        == 0
+    )
+    said = " ".join(capsys.readouterr().out.split())
+    assert "2 of 40 cells are not numbers, first '1_000' (line 9)" in said
+    assert "1 rows have no time" in said
+    assert "inf s" not in said
+    assert {line.split(",")[1] for line in out.read_text().splitlines()[1:]} == {"12.5"}
+    assert run_command(["compare", "--robot", "pioneer3dx", str(tmp_path / "run.csv.gz")]) == 2
+    assert capsys.readouterr().err.count("this is not a number") == 2
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("cell", ['"1,0{i:02d}.5"', "nan"])
+def test_a_power_without_a_number_is_not_suggested(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cell: str
+) -> None:
+    rows = [f"{i},{cell.format(i=i)}" for i in range(60)]
+    (tmp_path / "run.csv").write_text("time_s,power_robot_w\n" + "\n".join(rows) + "\n")
+    assert run_command(["import", str(tmp_path / "run.csv"), "--suggest", "--out", str(tmp_path / "map.yaml")]) == 1
+    assert "no column looks like power" in "".join(capsys.readouterr())
+
+
+def test_a_new_robot_that_can_less_than_its_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["calibrate", "--new", "x", "--base", "c3*v + c4", f"{LOGS}/run_00.csv", "--out", str(tmp_path / "x.yaml")]
+    assert run_command([*words, "--max-speed", "0.1 m/s", "--capacity", "0.01 Wh"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the top speed, 0.1 m/s, is below the 0.7" in said
+    assert "the capacity, 0.01 Wh, is less than the 1.4" in said
+    assert run_command([*words, "--mass", "0"]) == 2
+    assert "more than 0 kg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "code", "told"), [((), 0, ""), (("--json", "-"), 2, "standard output is closed")])
+def test_a_closed_standard_output(words: tuple[str, ...], code: int, told: str) -> None:
+    line = [sys.executable, "-m", "missionsim", "run", MISSION, *words]
+    done = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *line], capture_output=True, text=True)
+    assert done.returncode == code
+    assert told in done.stderr
+    assert not done.stdout

@@ -173,7 +173,7 @@ class _File:
                 true_values=["true", "True", "TRUE"],
                 false_values=["false", "False", "FALSE"],
             )
-            return arrow_csv.open_csv(str(self.path), read, parse, convert)
+            return arrow_csv.open_csv(pa.OSFile(str(self.path)), read, parse, convert)  # of a path, .gz is unpacked
 
         kinds = {"number": pa.float64(), "text": pa.dictionary(pa.int32(), pa.string())}
         wanted = {name: wanted_kind(name) for name in names} if self.typed else {}

@@ -30,12 +30,12 @@ _UNITS = {
 
 
 def is_number(word: str) -> bool:
-    """Whether a text is a number as `float` reads it."""
+    """Whether a text is a number: what `float` reads, but ``1_000`` and digits of other scripts."""
     try:
         float(word)
     except ValueError:
         return False
-    return True
+    return word.isascii() and "_" not in word
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -186,9 +186,21 @@ def sniff(
     return found
 
 
+_PACKED = {
+    b"\x1f\x8b": "gzip",
+    b"PK\x03\x04": "zip, or a spreadsheet",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"7z\xbc": "7z",
+}
+"""First bytes of archives."""
+
+
 def _encoding(head: bytes, file: str, remarks: list[Remark]) -> str:
     """Encoding by the first bytes; what is no UTF-8 there is Latin-1 (or Windows-1252), as many loggers write it."""
     encoding = "utf-8"
+    if packed := next((name for begin, name in _PACKED.items() if head.startswith(begin)), ""):
+        raise InputError(Fault(file, 1, 1, f"this is packed ({packed})", allowed="the table that is in it, unpacked"))
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encoding = "utf-16"
     elif head.startswith(codecs.BOM_UTF8):
