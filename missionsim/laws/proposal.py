@@ -344,7 +344,7 @@ def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str
             return f"{drive}, {beside}: there the forms differ by {watts(best_w, 2)}"
     return (
         f"no drive near the range of these logs tells the forms apart: they differ by {watts(best_w, 2)} at most ("
-        f"{at}, {beside}), and {MINUTES[-1]} min there and at half of it show {watts(shown_w, 2)}; take any of them"
+        f"{at}, {beside}), and {MINUTES[-1]} min each there and at half of it resolve {watts(shown_w, 2)}; take any"
     )
 
 

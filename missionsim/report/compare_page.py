@@ -175,7 +175,7 @@ def _power(one: BatteryComparison, batteries: int) -> list[web.Block]:
         ):
             traces.append(web.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
         joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
-        caption = f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
+        caption = f"{run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
         charts.append((run.run, [web.over_time(traces, "error, W", caption)]))
     return web.one_of("Run", charts, note)
 

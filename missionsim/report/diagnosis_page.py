@@ -198,7 +198,7 @@ def _run_chart(run: RunSeries, points: int) -> web.Chart:
     before = web.line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", web.MODEL, 1, yaxis="y2")
     traces.append({**before, "visible": "legendonly"})
     traces.append(web.line(time_s, left[pick], "left: with what was found", web.RESIDUAL, 1, yaxis="y2"))
-    caption = f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned."
+    caption = f"{run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned."
     return web.over_time(traces, "left, W", caption, 520)
 
 
@@ -274,7 +274,7 @@ def _alike(battery: BatteryDiagnosis) -> web.Chart:
         "xaxis": named(others),
         "yaxis": named(found),
         "hovermode": "closest",
-        "margin": {"l": 200, "r": 16, "t": 36, "b": 160},
+        "margin": {"l": 200, "r": 16, "t": 56, "b": 160},
     }
     caption = (
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
@@ -304,8 +304,9 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
     text = "".join(f"{told} " for told in (one.worse, better) if told)
+    what = f"Added: {', '.join(one.added)}" if one.added else "Nothing was added"
     text += (
-        f"{', '.join(one.added) or 'Nothing'} added; the power error on {which} went from "
+        f"{what}. The power error on {which} went from "
         f"{rounded(first.power_rmse_w)} to {watts(last.power_rmse_w)}, the energy error from "
         f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
         f"{one.stopped[:1].upper()}{one.stopped[1:]}"

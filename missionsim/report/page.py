@@ -129,7 +129,7 @@ class Section:
 
 
 MARKS = {"good": ("✓", "Good"), "warn": ("!", "Attention"), "bad": ("✗", "Wrong"), "neutral": ("i", "Result")}
-_NUMBER = re.compile(r"[-+−]?[0-9][0-9.,]*(e[-−+]?[0-9]+)?")
+_NUMBER = re.compile(r"(≤ )?[-+−]?[0-9][0-9.,]*(e[-−+]?[0-9]+)?")
 STYLE: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("templates").joinpath("charts.json").read_text("utf-8")
 )
@@ -219,7 +219,7 @@ def _is_number(value: object) -> TypeGuard[int | float | str]:
 MEASURED, MODEL, FITTED = COLOURS[:3]
 RESIDUAL = "#52606d"
 PALE = "#d9dee4"
-MARGIN = {"r": 16, "t": 30, "b": 48}
+MARGIN = {"r": 16, "t": 56, "b": 48}
 Values: TypeAlias = Sequence[object] | Array
 Trace: TypeAlias = dict[str, object]
 

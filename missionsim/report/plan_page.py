@@ -48,7 +48,7 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
         reserve = {"y": [100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])] * 2, "x": [0.0, times[-1]]}
         thin = {"color": colour, "dash": "dot", "width": 1}
         traces.append({**curve, **reserve, "name": f"reserve of {name}", "line": thin})
-    layout = {"xaxis": axis("min"), "yaxis": axis("charge, %", rangemode="tozero")}
+    layout = {"xaxis": axis("time, min"), "yaxis": axis("charge, %", rangemode="tozero")}
     sections = [
         Section("Plan", [Verdict(f"{answer.course()}: {answer.claim}.", "good"), Tiles(tiles)]),
         Section("Map", [site_chart(map_of_plan(answer))]),

@@ -281,8 +281,8 @@ def site_chart(site: SiteMap) -> Chart:
     })  # fmt: skip
     layout_ = {
         "hovermode": "closest",
-        "xaxis": {"title": {"text": "x [m]"}, "showgrid": False},
-        "yaxis": {"title": {"text": "y [m]"}, "scaleanchor": "x", "showgrid": False},
+        "xaxis": {"title": {"text": "x, m"}, "showgrid": False},
+        "yaxis": {"title": {"text": "y, m"}, "scaleanchor": "x", "showgrid": False},
     }
     caption = (
         "The site: edges by surface, the route by energy per metre, visits in their order; the charge stands at each "

@@ -96,7 +96,7 @@ def test_runs_that_got_worse_are_told_first() -> None:
     done = improved(3.0)
     assert done.worse
     page = unescape(improve_page("r", [done]))
-    assert page.index(done.worse) < page.index("grade added")
+    assert page.index(done.worse) < page.index("Added: grade")
 
 
 def test_next_does_not_call_what_remains_nothing() -> None:
@@ -145,7 +145,7 @@ def test_a_step_that_makes_held_out_runs_worse_is_told_first_with_what_to_type()
     assert "without law_x" in told
     assert "--robot 'my robot.yaml' train --holdout held --yes --without law_x --out" in command
     page = unescape(improve_page("r", [rising], advice={"robot": (told, command)}))
-    assert page.index(rising.worse) < page.index("grade, law_x added")
+    assert page.index(rising.worse) < page.index("Added: grade, law_x")
     assert command in page
     first = replace(rising, added=("grade",), steps=(*bars[:2], Step("+ grade", 3.3, 34.0), bars[0]))
     assert first.advice("r.yaml", ["train"])[1].startswith("missionsim calibrate --robot r.yaml train")

@@ -53,6 +53,22 @@ OUTSIDE = """
 """
 """What lies beside the screen, or a chart or writing of a chart beside the card that holds it."""
 
+OVERLAPS = """
+  window.found.overlaps = [];
+  document.querySelectorAll(".chart").forEach(function (chart) {
+    chart.querySelectorAll(".modebar-group").forEach(function (bar) {
+      var a = bar.getBoundingClientRect();
+      chart.querySelectorAll(".legend .traces").forEach(function (entry) {
+        var b = entry.getBoundingClientRect();
+        if (a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom) {
+          window.found.overlaps.push(chart.id + ": " + entry.textContent);
+        }
+      });
+    });
+  });
+"""
+"""Entries of a legend on which the buttons of their chart lie."""
+
 
 def browser() -> str:
     """Path of a Chromium; skips the test where there is none."""

@@ -15,7 +15,7 @@ from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from tests.diagnose.logs import drive
-from tests.report.browser import OUTSIDE, run_in_page
+from tests.report.browser import OUTSIDE, OVERLAPS, run_in_page
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +61,12 @@ def test_diagnosis_page(done: Improved, tmp_path: Path) -> None:
 def test_improvement_fits_a_telephone(done: Improved, tmp_path: Path) -> None:
     found = run_in_page(improve_page("pioneer3dx", [done]), OUTSIDE, tmp_path, width=390)
     assert found == {"errors": [], "wide": 0, "outside": []}
+
+
+@pytest.mark.browser
+def test_no_button_lies_on_a_legend(done: Improved, tmp_path: Path) -> None:
+    found = run_in_page(improve_page("pioneer3dx", [done]), OVERLAPS, tmp_path, width=1180)
+    assert found == {"errors": [], "overlaps": []}
 
 
 def test_many_long_runs_still_make_a_small_page(done: Improved) -> None:
