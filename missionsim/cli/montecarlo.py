@@ -291,4 +291,5 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
 def _number(value: float | None, form: str, interval: list[float] | None = None) -> str:
     if value is None:
         return "–"
-    return f"{value:{form}}" if interval is None else f"{value:{form}} ± {interval[1] - value:{form}}"
+    text = f"{value:{form}}".replace("-", "−")
+    return text if interval is None else f"{text} ± {interval[1] - value:{form}}"

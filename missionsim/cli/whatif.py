@@ -11,7 +11,7 @@ from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, Target
 from missionsim.cli.run import clock
 from missionsim.errors import InputError
 from missionsim.inputs.overrides import split_assignment
-from missionsim.numerals import in_wh
+from missionsim.numerals import in_wh, rounded
 from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import TABLES, write_table
@@ -114,8 +114,9 @@ def _show_differences(answer: dict[str, Any]) -> None:
             gives = means.get(name.replace("margin_", "energy_"), math.nan) if "margin_" in name else math.nan
             # what a battery keeps often changes by just what it gives; then one of the two tells all
             if not math.isclose(gives, -d["mean"], rel_tol=1e-9):
-                interval, real = f"{d['low']:+.3g} … {d['high']:+.3g}", "yes" if d["real"] else "cannot be told"
-                rows.append([row["name"], _percent(row), name, f"{d['mean']:+.4g}", interval, real])
+                interval = " … ".join(rounded(d[end], sign=True) for end in ("low", "high"))
+                real = "yes" if d["real"] else "cannot be told"
+                rows.append([row["name"], _percent(row), name, rounded(d["mean"], 4, sign=True), interval, real])
     first = answer["alternatives"][0]
     terminal = console()
     succeeds = f"{first['name']}: succeeds in {_percent(first)}"
@@ -214,5 +215,4 @@ def show(found: WhatIf) -> None:
 
 def signed(value: float, digits: int) -> str:
     """A difference with its sign; a dash where it rounds to nothing."""
-    text = f"{value:+.{digits}f}"
-    return "–" if float(text) == 0.0 else text
+    return "–" if round(value, digits) == 0.0 else f"{value:+.{digits}f}".replace("-", "−")

@@ -38,7 +38,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     for one in comparison.batteries.values():
         found = one.error_statistics
         row = [one.battery, in_wh(one.energy_measured_wh), in_wh(one.energy_model_wh)]
-        row += [_plain(one.energy_error_pct, "+.2f"), rounded(one.power_rmse_w), rounded(one.power_bias_w, sign=True)]
+        row += [signed(one.energy_error_pct, 2), rounded(one.power_rmse_w), rounded(one.power_bias_w, sign=True)]
         rows.append([*row, *map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))])
     console.print(simple_table(title, [*columns, ">peak %", ">final %", ">mean %", ">std %"], rows))
     notes = ["error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs"]
@@ -89,13 +89,13 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
         rows = []
         for run in [run for run in one.runs if run in shown]:
             row = [run.run, f"{run.seconds:.0f}", in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
-            rows.append([*row, _plain(run.energy_error_pct, "+.2f"), rounded(run.power_rmse_w)])
+            rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w)])
         columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
         console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))
 
 
-def _plain(value: float, form: str = ".2f") -> str:
-    return format(value, form) if math.isfinite(value) else "–"
+def _plain(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "–"
 
 
 RUNS = (

@@ -92,7 +92,7 @@ def test_all_faults_of_a_command_at_once(tmp_path: Path, capsys: pytest.CaptureF
     ("extra", "text"),
     [
         (["--tolerance", "-3"], "the tolerance is a percentage"),
-        (["--report", "page.pdf"], "a file name that ends in .html"),
+        (["--report", "page.pdf"], "a name that ends in .html"),
         (["--by", "payload"], "the log has no column 'payload'"),
     ],
 )

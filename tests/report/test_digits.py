@@ -42,4 +42,14 @@ def test_terminal_and_page_of_a_comparison_print_alike(tmp_path: Path, capsys: p
     drawn = html.unescape(page.read_text("utf-8")).replace("−", "-")
     shown = set(re.findall(r"(?<![\d.])[-+]?\d+\.\d+(?:e[-+]?\d+)?(?![\d.])", drawn))
     _, measured, model, error, rmse, bias, *_ = cells(told, "robot")
-    assert {measured, model, error, rmse, bias.replace("−", "-")} <= shown
+    assert {measured, model, *(cell.replace("−", "-") for cell in (error, rmse, bias))} <= shown
+
+
+def test_a_table_of_the_terminal_has_one_minus(capsys: pytest.CaptureFixture[str]) -> None:
+    tried = printed(
+        ["whatif", str(PATROL.with_name("recharging_patrol.yaml")), "--vary", "defaults.speed=0.75"], capsys
+    )
+    told = printed(["compare", str(ROOT / "docs" / "examples" / "ramp_runs"), "--robot", "pioneer3dx"], capsys)
+    for text in (tried, told):
+        assert "−" in text
+        assert not re.search(r"(?<![\w.-])-\d", "\n".join(line for line in text.splitlines() if line.startswith("│")))
