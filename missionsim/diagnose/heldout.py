@@ -23,6 +23,7 @@ from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
 from missionsim.identify.settings import SHIFTED_MEAN_RATIO, SHIFTED_RATIO, SHIFTED_RUNS, Settings
 from missionsim.labels import Labels
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 from missionsim.runs.drive import drive
 from missionsim.runs.error import Errors, errors_of
@@ -139,7 +140,7 @@ class Models:
                 new, was = fitted.values[name], without[name].value
                 if new.value < 0.0 and new.value + Z95 * new.sd < was:
                     remark = (
-                        f"beside it {name} of the base falls below nothing, from {was:.3g} to {new.value:.3g}: the two "
+                        f"beside it {name} of the base falls below nothing, from {rounded(was)} to {rounded(new.value)}: the two "
                         "together are one curve, which something else that is missing may bend so"
                     )
                     effect = replace(effect, remark="; ".join(filter(None, (effect.remark, remark))))
