@@ -217,7 +217,9 @@ def errors(battery: BatteryDiagnosis) -> str:
 def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:
     """The command to type next; empty where there is nothing to add or to fit anew."""
     what = ""
-    clear = next((e for e in battery.effects if not e.indistinguishable_from), None)
+    # what stands without a doubt comes first
+    told = [effect for effect in battery.effects if not effect.indistinguishable_from]
+    clear = min(told, key=lambda effect: bool(effect.remark), default=None)
     law = next(iter(battery.proposed_laws), None)
     if worse(battery):
         return ""

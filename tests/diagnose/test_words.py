@@ -222,6 +222,8 @@ def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
     assert "that it is grade is not: beside it k1" in sentences.sure(doubted)
     assert words.found_line(doubted.effects[0]).endswith("; beside it k1 falls below nothing")
     assert "that is grade" in words.headline(BATTERY)
+    beside = replace(doubted, effects=(*doubted.effects, replace(GRADE, effect="acceleration")))
+    assert "--effect acceleration" in sentences.next_step(beside, "own.yaml", ["logs"])
 
 
 def test_a_battery_is_named_where_there_are_several() -> None:
