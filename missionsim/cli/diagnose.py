@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,11 +59,12 @@ def diagnose(
     )
     tell_left_out(left_out, to)
     to.emit(result.to_json() | {"left_out": left_out})
+    asked = sentences.Asked(search.robot, logs, search.given)
     if report is not None:
         footer = f"missionsim {__version__}, missionsim diagnose"
-        write_text(report, diagnosis_page(result, footer=footer, robot=search.robot, logs=logs))
+        write_text(report, diagnosis_page(result, footer=footer, asked=asked))
     if to.text:
-        show(result, search.robot, logs)
+        show(result, asked)
         for line in remarks:
             console().print(line)
         if report is not None:
@@ -72,7 +72,7 @@ def diagnose(
     return 1 if left_out or any(worse(one) for one in result.batteries.values()) else 0
 
 
-def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
+def show(result: Diagnosis, asked: sentences.Asked) -> None:
     """Print a diagnosis: what is missing, how sure, the error, what to type; then the report lines."""
     from rich.table import Table
 
@@ -82,7 +82,7 @@ def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
         for line in (sentences.sure(battery), sentences.errors(battery)):
             if line:
                 terminal.print(line)
-        command = sentences.next_step(battery, robot, logs, len(result.batteries) > 1)
+        command = sentences.next_step(battery, asked, len(result.batteries) > 1)
         if command:
             terminal.print("Next, type:")
             terminal.print(f"    {command}", style="cyan", soft_wrap=True)

@@ -7,6 +7,7 @@ import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
@@ -214,26 +215,38 @@ def errors(battery: BatteryDiagnosis) -> str:
     return f"{told} (energy {' → '.join(f'{pct:.2f}' for pct in energies)} %)."
 
 
-def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:
+class Asked(NamedTuple):
+    """What a diagnosis was asked with, for the command to type next."""
+
+    robot: str
+    logs: Sequence[str | Path]
+    options: str = ""
+    """Those that are not as by default, such as ``--holdout later``."""
+
+
+def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) -> str:
     """The command to type next; empty where there is nothing to add or to fit anew."""
-    what = ""
-    # what stands without a doubt comes first
     told = [effect for effect in battery.effects if not effect.indistinguishable_from]
-    clear = min(told, key=lambda effect: bool(effect.remark), default=None)
     law = next(iter(battery.proposed_laws), None)
+    robot, options = shlex.quote(asked.robot), asked.options
+    if several and "--battery" not in options:
+        options = f"--battery {battery.battery} {options}"
     if worse(battery):
         return ""
-    if clear is not None:
-        what = f"--effect {shlex.quote(clear.effect)}"
+    if len(told) > 1:  # one of them alone leaves the others' power to the base
+        command = f"improve --robot {robot} {options}"
+    elif told:
+        command = f"add-effect --robot {robot} --effect {shlex.quote(told[0].effect)} {options}"
     elif not battery.effects and law is not None and not law.open:
         twin = law.looks_like
         what = f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{law.first.formula}"'
+        command = f"add-effect --robot {robot} {what} {options}"
     elif battery.effects or law is not None or not errors(battery):
         return ""
-    command = f"add-effect --robot {shlex.quote(robot)} {what}" if what else f"calibrate --robot {shlex.quote(robot)}"
-    on = f" --battery {battery.battery}" if several else ""
-    files = " ".join(shlex.quote(str(log)) for log in logs)
-    return f"missionsim {command}{on} {files} --out {shlex.quote(Path(robot).stem + '_better.yaml')}"
+    else:
+        command = f"calibrate --robot {robot}" + f" --battery {battery.battery}" * several
+    files = " ".join(shlex.quote(str(log)) for log in asked.logs)
+    return f"missionsim {command.strip()} {files} --out {shlex.quote(Path(asked.robot).stem + '_better.yaml')}"
 
 
 def _listed(parts: Sequence[str]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,26 +23,25 @@ MOST_RUNS = 30
 MOST_ALIKE = 14
 
 
-def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", logs: Sequence[str | Path] = ()) -> str:
-    """The page as HTML. `footer`: how it was made (version, command); `robot`, `logs`: as they were given, for the
-    command to type next."""
+def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", asked: Asked | None = None) -> str:
+    """The page as HTML. `footer`: how it was made (version, command)."""
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
     return web.page(
         f"{diagnosis.robot}: which effect is missing",
-        diagnosis_sections(diagnosis, robot, logs),
+        diagnosis_sections(diagnosis, asked),
         subtitle=f"{runs} runs fitted",
         footer=footer,
     )
 
 
-def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str | Path] = ()) -> list[web.Section]:
+def diagnosis_sections(diagnosis: Diagnosis, asked: Asked | None = None) -> list[web.Section]:
     """The sections of the page, for pages that show a diagnosis among other things."""
     sections = []
     several = len(diagnosis.batteries) > 1
     for battery in diagnosis.batteries.values():
         prefix = f"Battery {battery.battery}: " if several else ""
         parts = {
-            "Result": _result(battery, robot, logs, several),
+            "Result": _result(battery, asked, several),
             "A law that the library does not hold": _law(battery),
             "What was found and what was not": _candidates(battery),
             "Power over time": _series(battery, several),
@@ -57,9 +55,9 @@ def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str
     return sections
 
 
-def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool) -> list[web.Block]:
+def _result(battery: BatteryDiagnosis, asked: Asked | None, several: bool) -> list[web.Block]:
     cards = []
-    command = sentences.next_step(battery, robot, logs, several) if robot else ""
+    command = "" if asked is None else sentences.next_step(battery, asked, several)
     if battery.effects:
         effect = battery.effects[0]
         interval = f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"

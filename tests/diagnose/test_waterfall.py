@@ -188,7 +188,7 @@ def test_a_base_that_is_off_is_told_with_the_command_that_fits_it() -> None:
     energy, rmse = ({"nominal": a, "recalibrated": b, "with_effects": b} for a, b in ((68.22, 0.86), (111.0, 7.18)))
     quiet = replace(BATTERY, effects=(), verdict="nothing_missing", heldout=HeldOut("the last", ("e",), energy, rmse))
     assert "from 68.22 to 0.86 %" in sentences.errors(quiet)
-    assert sentences.next_step(quiet, "my.yaml", ["train"]) == command
+    assert sentences.next_step(quiet, sentences.Asked("my.yaml", ["train"])) == command
     near = (Step("before", 0.9, 7.2), *bars[1:])
     assert replace(improved(1.0), added=(), steps=near).advice("my.yaml", ["train"]) == ("", "")
 

@@ -222,8 +222,15 @@ def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
     assert "that it is grade is not: beside it k1" in sentences.sure(doubted)
     assert words.found_line(doubted.effects[0]).endswith("; beside it k1 falls below nothing")
     assert "that is grade" in words.headline(BATTERY)
-    beside = replace(doubted, effects=(*doubted.effects, replace(GRADE, effect="acceleration")))
-    assert "--effect acceleration" in sentences.next_step(beside, "own.yaml", ["logs"])
+
+
+def test_several_effects_go_in_together_and_options_stay() -> None:
+    asked = sentences.Asked("own.yaml", ["logs"], "--holdout later")
+    alone = sentences.next_step(BATTERY, asked)
+    assert alone == "missionsim add-effect --robot own.yaml --effect grade --holdout later logs --out own_better.yaml"
+    beside = replace(BATTERY, effects=(GRADE, replace(GRADE, effect="acceleration")))
+    told = "missionsim improve --robot own.yaml --battery robot --holdout later logs --out own_better.yaml"
+    assert sentences.next_step(beside, asked, several=True) == told
 
 
 def test_a_battery_is_named_where_there_are_several() -> None:

@@ -233,7 +233,7 @@ def test_a_law_whose_quantity_is_open_is_not_added(
     last = SimpleNamespace(effects=(), proposed_laws=(told,), verdict="unexplained_structure", battery="main",
                            unexplained=left, next_experiments=(), heldout=None)  # fmt: skip
     assert (f"{first[-1]} or {other[-1]}, so it is not added. Next: 3 min at" in _why(last, ())) is undecided
-    assert ("add-effect" in sentences.next_step(last, "robot.yaml", ["train"])) is not undecided
+    assert ("add-effect" in sentences.next_step(last, sentences.Asked("robot.yaml", ["train"]))) is not undecided
 
 
 @pytest.mark.parametrize(
