@@ -139,9 +139,10 @@ class Models:
             for name in sorted(formula & fitted.values.keys() & without.keys()):
                 new, was = fitted.values[name], without[name].value
                 if new.value < 0.0 and new.value + Z95 * new.sd < was:
+                    fall = f"from {rounded(was)} to {rounded(new.value)}"
                     remark = (
-                        f"beside it {name} of the base falls below nothing, from {rounded(was)} to {rounded(new.value)}: the two "
-                        "together are one curve, which something else that is missing may bend so"
+                        f"beside it {name} of the base falls below nothing, {fall}: the two together are one "
+                        "curve, which something else that is missing may bend so"
                     )
                     effect = replace(effect, remark="; ".join(filter(None, (effect.remark, remark))))
             told.append(effect)

@@ -10,6 +10,7 @@ import numpy as np
 
 from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved
+from missionsim.diagnose.sentences import Asked
 from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY, state
