@@ -53,20 +53,38 @@ def test_most_of_the_error_in_little_time_is_told() -> None:
 
 @pytest.mark.parametrize(
     "noise",
-    [
-        {"here_w": 0.0},
-        {"here_w": 2.6},  # less than half of the squared error
-        {"here_w": 1.9, "part": 0.24},  # less than two standard deviations of a row's noise
-        {"here_w": 60.0, "part": 0.008},  # four seconds of each run
-        {"here_w": 12.0, "uneven": 0.6},  # from 1.2 to 23 W: t = 2.6
-        {"here_w": 12.0, "part": 0.3},
-        {"here_w": 12.0, "flip": True},
-        {"here_w": 12.0, "runs": 2},
-        {"here_w": 12.0, "noise_w": 8.0},
-    ],
+    [{"here_w": 0.0}, {"here_w": 12.0, "flip": True}, {"here_w": 12.0, "runs": 2}, {"here_w": 12.0, "noise_w": 8.0}],
 )
 def test_noise_and_what_runs_disagree_on_is_not(noise: dict[str, float]) -> None:
     assert left_over(**noise) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("here_w", "part", "uneven", "noise_w", "told"),
+    [
+        (2.8, 0.1, 0.0, 1.0, False),  # 46 % of the squared error
+        (3.2, 0.1, 0.0, 1.0, True),
+        (5.0, 0.23, 0.0, 1.0, True),
+        (5.0, 0.27, 0.0, 1.0, False),  # no small part of the time
+        (5.0, 0.1, 0.0, 2.7, False),  # 1.9 standard deviations of a row's noise
+        (5.0, 0.1, 0.0, 2.3, True),
+        (5.0, 0.1, 0.32, 1.0, True),  # t = 5.4
+        (5.0, 0.1, 0.38, 1.0, False),  # t = 4.6
+        (60.0, 0.004, 0.0, 1.0, False),  # four seconds of each run
+        (60.0, 0.006, 0.0, 1.0, True),
+    ],
+)
+def test_an_error_of_one_kind_of_motion_is_most_of_it_in_little_time_and_clear(
+    here_w: float, part: float, uneven: float, noise_w: float, told: bool
+) -> None:
+    """Four runs of 1000 s, off by 1 W to either side elsewhere; `uneven`: how far the runs lie from their mean."""
+    second, run = np.arange(4000) % 1000, np.repeat(np.arange(4), 1000)
+    here, side = second < 1000 * part, 1.0 - 2.0 * (second % 2)
+    error_w = np.where(here, here_w * (1.0 + uneven * (1.0 - 2.0 * (run % 2))), side)
+    rows = np.zeros((len(MOTIONS), 4000), dtype=bool)
+    rows[SLOWING], rows[0], rows[1] = here, ~here & (side > 0.0), ~here & (side < 0.0)
+    found = standing_out(error_w, np.ones(4000), run, rows, noise_w=noise_w, mean_power_w=20.0)
+    assert (found is not None) is told
 
 
 def braking(log: LogTable, less_w: float) -> LogTable:

@@ -1,0 +1,157 @@
+"""Each threshold of the search for a law, in cases just on both sides of it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from missionsim.identify.gram import Gram
+from missionsim.identify.proposed import Law
+from missionsim.laws import gates, proposal, search
+from missionsim.laws.gates import Gates
+from missionsim.laws.grammar import Factor, Grammar
+from missionsim.laws.search import Scored, Search
+
+PLAIN = Grammar((Factor("a", "a", "a"), Factor("b", "b", "b")), ())
+
+
+@pytest.mark.parametrize(("part", "acting"), [(0.015, 1), (0.025, 2)])
+def test_a_law_acts_in_a_run_that_holds_a_part_of_its_square(part: float, acting: int) -> None:
+    x = np.sqrt(np.repeat([1.0 - part, part], 4))
+    runs, sums = [slice(0, 4), slice(4, 8)], np.array([[4.0, 2.0], [2.0, 2.0]])
+    design = SimpleNamespace(runs=runs, duration_s=np.ones(8), y=np.ones(8), base=np.zeros(8), phi=x[None])
+    design.layout, design.gradient = SimpleNamespace(parameters=()), np.zeros((0, 8))
+    model = SimpleNamespace(design=design, gram=Gram(np.array([sums, sums]), np.zeros(0)), chosen=(0,))
+    assert gates.left_out(model).acting == acting
+
+
+@pytest.mark.parametrize(
+    ("nats", "behind", "first", "count"),
+    [
+        (20.0, 1.7, "plain", 2),
+        (20.0, 2.3, "bent", 2),
+        (20.0, 3.5, "bent", 2),
+        (20.0, 4.5, "bent", 1),
+        (1000.0, 27.0, "plain", 2),
+        (1000.0, 33.0, "bent", 2),
+        (1000.0, 55.0, "bent", 2),
+        (1000.0, 65.0, "bent", 1),
+    ],
+)
+def test_how_far_behind_a_form_may_be(nats: float, behind: float, first: str, count: int) -> None:
+    """Of two forms the plainer one is behind: it stands first, stands beside the other, or is gone."""
+    grammar = Grammar((Factor("a", "a**2", "bent", 1), Factor("a", "a", "plain")), ())
+    kept, _ = proposal._set([Scored((0,), nats, 0.1, nats), Scored((1,), nats, 0.1, nats - behind)], grammar)
+    assert grammar.factors[kept[0].form[0]].symbol == first
+    assert len(kept) == count
+
+
+def at_an_angle(r: float, rows: int = 600) -> np.ndarray:
+    """Two rows of no mean that are correlated by `r`."""
+    wave = np.arange(rows) * 2.0 * np.pi / rows
+    return np.array([np.cos(wave), r * np.cos(wave) + np.sqrt(1.0 - r**2) * np.sin(wave)])
+
+
+@pytest.mark.parametrize(("r", "twin"), [(0.98, ""), (0.99, "grade")])
+def test_a_law_whose_column_is_an_effects_looks_like_it(r: float, twin: str) -> None:
+    law, phi = at_an_angle(r)
+    layout = SimpleNamespace(columns=[SimpleNamespace(candidate=0)])
+    ground = SimpleNamespace(design=SimpleNamespace(phi=phi[None], layout=layout))
+    found = SimpleNamespace(library=[SimpleNamespace(effect="grade")])
+    assert proposal._twin(SimpleNamespace(watts=law), ground, found) == twin
+
+
+@pytest.mark.parametrize(("r", "count"), [(0.97, 2), (0.985, 1)])
+def test_a_form_that_looks_like_a_better_one_is_no_other_place_to_begin(r: float, count: int) -> None:
+    ranked = [Scored((i,), 50.0, 0.1, 45.0) for i in range(2)]
+    assert len(Search._apart(SimpleNamespace(rows=at_an_angle(r)), ranked)) == count
+
+
+@pytest.mark.parametrize(
+    ("gain", "share", "absorbed", "worth"),
+    [
+        (4.0, 0.1, 0.0, False),
+        (6.0, 0.1, 0.0, True),
+        (90.0, 0.0050, 0.0, False),  # the least share is 0.008, and a refit hardly makes more of it
+        (90.0, 0.0062, 0.0, True),
+        (90.0, 0.1, 0.92, True),
+        (90.0, 0.1, 0.94, False),  # a free base takes it up
+        (90.0, -0.1, 0.0, False),
+    ],
+)
+def test_what_the_first_pass_lets_through(
+    monkeypatch: pytest.MonkeyPatch, gain: float, share: float, absorbed: float, worth: bool
+) -> None:
+    information = 2.0 * gain / share**2
+
+    class Known:
+        def coarse(self, rows: Any) -> Any:
+            return rows
+
+        def __call__(self, *_: Any) -> tuple[np.ndarray, ...]:
+            return tuple(np.array([x]) for x in (1.0, share * information, information, absorbed))
+
+    monkeypatch.setattr(search, "Sieve", lambda *_: Known())
+    own = SimpleNamespace(ground=SimpleNamespace(mean_power_w=1.0), groups=None, every=1, rows=None, grammar=PLAIN)
+    own.by_size, own.penalties = [np.array([[0]])], [5.0]
+    assert bool(Search.screen(own, None)) is worth
+
+
+@pytest.mark.parametrize(("errors", "kept"), [((0.99,), 1), ((0.998,), 0), ((0.5, 0.51), 2), ((0.5, 0.52), 1)])
+def test_at_a_glance_a_law_predicts_left_out_runs_better_and_hardly_worse_than_the_best(
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], kept: int
+) -> None:
+    model = SimpleNamespace(squares=None, noise=None)
+    ground = SimpleNamespace(model=model, design=SimpleNamespace(runs=range(2)), usual=lambda: None)
+    ground.plain, ground.extended, ground.at_noise = lambda _: None, lambda watts: watts, lambda watts, _: watts
+    monkeypatch.setattr(search, "left_out", lambda watts: SimpleNamespace(with_law=watts, without=1.0))
+    own = SimpleNamespace(ground=ground, columns=lambda forms: [errors[form[0]] for form in forms])
+    assert len(Search._promising(own, [(i,) for i in range(len(errors))])) == kept
+
+
+@pytest.mark.parametrize(
+    ("at", "steps", "found"), [(39, 0, True), (40, 0, False), (5, 1, True), (6, 1, False), (0, 4, True), (0, 5, False)]
+)
+def test_how_far_the_best_form_is_looked_for(at: int, steps: int, found: bool) -> None:
+    """A form among the best by the first pass, or so many steps of its numbers beyond one of them, is the best."""
+    score = {(i,): 100.0 - i for i in range(60)} | {(i,): 100.0 + i for i in range(101, 110)}
+    if not steps:
+        score[at,] = 200.0
+    own = SimpleNamespace(ground=None, screen=lambda *_: [Scored((i,), 0.0, 0.1, 0.0) for i in range(60)])
+
+    def exactly(top: Any, forms: list[tuple[int, ...]]) -> list[Scored]:
+        return sorted((Scored(form, 0.0, 0.1, score[form]) for form in dict.fromkeys(forms)), key=lambda s: -s.score)
+
+    def bent(form: tuple[int, ...]) -> list[tuple[int, ...]]:
+        return [(101,)] if form == (at,) and steps else [(form[0] + 1,)] if 100 < form[0] < 100 + steps else []
+
+    factors = [Factor(f"{i}", f"{i}", "") for i in range(110)]
+    own._exactly, own.grammar = exactly, SimpleNamespace(factors=factors, bent=bent)
+    best = Search.near(own, SimpleNamespace(form=(0,), model=SimpleNamespace(noise=None)), [])[0]
+    assert (best.form == ((100 + steps,) if steps else (at,))) is found
+
+
+def test_a_curve_is_nowhere_surer_than_the_rows_resolve() -> None:
+    law = Law("k * abs(speed_m_s)", "k·|v|", "W s/m", 5.0, 4.9, 5.1, 0.1, 0.0, variables=("speed_m_s",))
+    time_s = np.arange(101.0)
+    curve = proposal._curve([law], SimpleNamespace(covariates=[{"speed_m_s": time_s / 100.0, "time_s": time_s}]), 0.0)
+    top = max(curve.watts)
+    assert np.subtract(curve.high, curve.low) == pytest.approx(2.0 * 0.03 * top)
+
+
+def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little the rows scatter: of a share of 20 % a tenth, and with 2 % of scatter the root of both squares."""
+    errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
+    fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
+    own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
+    law = Law("k * a", "k·a", "W", 5.0, 4.0, 6.0, 0.2, 0.0, variables=("a",))
+    monkeypatch.setattr(proposal, "Search", lambda *_: own)
+    for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", law), ("_curve", None), ("_twin", "")):
+        monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
+    for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
+        monkeypatch.setattr(proposal, "_judged", lambda *_, sd=scatter: ([None], [], fitted, Gates(sd, {})))
+        made = proposal._propose(None, PLAIN, False, SimpleNamespace(noise={}))
+        assert made.proposal.share_sd == pytest.approx(sd, rel=1e-3)
