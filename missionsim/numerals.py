@@ -21,6 +21,12 @@ def rounded(value: float, digits: int = 3, *, sign: bool = False) -> str:
     return f"{front}{abs(value):{form}}"
 
 
+def bare(value: float, digits: int = 4) -> str:
+    """A number such as `rounded` gives, without zeros at its end: for parameters, of which many are round."""
+    text = rounded(value, digits)
+    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
+
+
 def watts(value: float, digits: int = 3, *, sign: bool = False) -> str:
     """``9,356 W``: a power is told in watts everywhere, so that any two can be compared."""
     return f"{rounded(value, digits, sign=sign)} W"

@@ -24,7 +24,7 @@ from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
-from missionsim.numerals import meter_clock, rounded, watts
+from missionsim.numerals import bare, meter_clock, rounded, watts
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
 
@@ -296,10 +296,7 @@ def add_effect(
         print(f"warning: {made.effect.remark}", file=sys.stderr)
     if to.text:
         terminal = console()
-        found = ", ".join(
-            f"{name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
-            for name, p in made.effect.parameters.items()
-        )
+        found = words.parameters_told(made.effect)
         terminal.print(
             f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {found}; "
             f"p = {made.effect.p_value:.1g}"
@@ -307,7 +304,7 @@ def add_effect(
         if not made.significant:
             terminal.print(f"forced: {made.reason}")
         if made.base:
-            terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()))
+            terminal.print("base: " + ", ".join(f"{n} = {bare(v)}" for n, (v, _) in made.base.items()))
         if any(made.meter):
             delay_s, lag_s = made.meter
             terminal.print(f"meter: {meter_clock(delay_s, lag_s)}; compare shows the model so")

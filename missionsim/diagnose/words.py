@@ -9,7 +9,7 @@ from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.waterfall import unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal
-from missionsim.numerals import meter_clock, rounded, watts
+from missionsim.numerals import bare, meter_clock, rounded, watts
 
 MOST_NOT_SEEN = 8
 RECALIBRATION_SD = 4.0
@@ -53,7 +53,8 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     elif left.shape:
         said.append(f"{'Beyond that, something' if said else 'Something'} remains: {left.shape}.")
     if unseen := unseen_note(battery):
-        said.append(f"Beyond that, {unseen}." if said else f"{unseen[:1].upper()}{unseen[1:]}.")
+        beyond = "Beyond that, " if said and not left.shape else ""
+        said.append(f"{beyond}{unseen if beyond else unseen[:1].upper() + unseen[1:]}.")
     if not said:
         known = [c.smallest_detectable_share for c in battery.candidates if c.smallest_detectable_share is not None]
         limits = [100 * limit for limit in known if limit < BLIND_SHARE]
@@ -110,7 +111,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         (True, "further off than its sd allows, and no effect takes its place; check file and logs"),
     ):
         own = [s for s in shifts if (abs(s.shift_in_prior_sd) > RECALIBRATION_SD) == beyond]
-        told = [f"{s.parameter} {s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)" for s in own]
+        shifted = [(s.parameter, f"{s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)") for s in own]
+        told = [f"{name} {by.replace('-', '−')}" for name, by in shifted]
         lines += [("BASE", f"{said}: {', '.join(told)}")] if told else []
     tested = [held for held in (battery.heldout, battery.shifted) if held is not None]
     lines += [("HELD-OUT", heldout_line(held, bool(battery.effects))) for held in tested]
@@ -125,19 +127,23 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     return lines
 
 
-def found_line(effect: Finding) -> str:
-    """An effect that was found: share of energy with interval, parameters, level."""
-    numbers = ", ".join(
-        f"{name} = {e.value:.4g}{_unit(e.unit)} (95 % {e.low:.4g} to {e.high:.4g})"
+def parameters_told(effect: Finding) -> str:
+    """The parameters of an effect with their intervals."""
+    return ", ".join(
+        f"{name} = {bare(e.value)}{_unit(e.unit)} (95 % {bare(e.low)} to {bare(e.high)})"
         for name, e in effect.parameters.items()
     )
+
+
+def found_line(effect: Finding) -> str:
+    """An effect that was found: share of energy with interval, parameters, level."""
     interval = ""
     if math.isfinite(effect.share_low):
         interval = f" (95 % {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f})"
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
     return (
-        f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
-        f"p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.remark)}{effect.remark}"
+        f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {parameters_told(effect)}; "
+        f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.remark)}{effect.remark}"
     )
 
 
@@ -146,7 +152,7 @@ def _law_lines(law: Proposal) -> list[str]:
     lines = []
     for number, one in enumerate(law.laws, 1):
         behind = "" if one.behind_nats < 0.05 else f"; {one.behind_nats:.0f} nats behind"
-        k = f"k = {one.k:.3g}{_unit(one.unit)} (95 % {one.low:.3g} to {one.high:.3g})"
+        k = f"k = {bare(one.k, 3)}{_unit(one.unit)} (95 % {bare(one.low, 3)} to {bare(one.high, 3)})"
         lines.append(f"{number}: {one.formula}, {k}{behind}")
     before, after = law.left_out_rmse_w
     rests = f"rise of {law.rise_nats:.0f} nats where {law.penalty_nats + 6:.0f} are asked, of {law.tried:,} forms"
@@ -184,8 +190,8 @@ def heldout_line(heldout: HeldOut, found: bool = True) -> str:
 def _execution(effect: Finding) -> str:
     estimate = next(iter(effect.parameters.values()))
     scheme = f" in {effect.scheme}" if effect.scheme else ""
-    interval = f" (95 % {estimate.low:.3g} to {estimate.high:.3g})" if math.isfinite(estimate.low) else ""
-    return f"{effect.effect}{scheme}: {estimate.value:.3g} {TOLD[effect.effect]}{interval}"
+    interval = f" (95 % {bare(estimate.low, 3)} to {bare(estimate.high, 3)})" if math.isfinite(estimate.low) else ""
+    return f"{effect.effect}{scheme}: {bare(estimate.value, 3)} {TOLD[effect.effect]}{interval}"
 
 
 def _noise(battery: BatteryDiagnosis) -> str:

@@ -260,6 +260,6 @@ def describe(logs: Sequence[Run | LongRun], *, notes: bool = False) -> list[str]
     lines = []
     for group in found.values():
         run, remark = group[0]
-        others = f" (and {len(group) - 1} more runs)" if len(group) > 1 else ""
+        others = f" (and {len(group) - 1} more run{'s' * (len(group) > 2)})" if len(group) > 1 else ""
         lines.append(f"{remark.severity}: {run}: {remark}{others}")
     return lines

@@ -134,7 +134,7 @@ def test_a_base_that_is_far_off_is_no_mere_recalibration() -> None:
     ]
     assert lines[0] == "recalibrated, no discovery: c3 +4.2 % (+1.4 sd)"
     assert lines[1].startswith("further off than its sd allows")
-    assert lines[1].endswith("kinect.power -21.0 % (-7.0 sd)")
+    assert lines[1].endswith("kinect.power −21.0 % (−7.0 sd)")
 
 
 def test_what_helps_but_is_not_named_is_told() -> None:

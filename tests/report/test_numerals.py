@@ -7,10 +7,10 @@ import math
 import pytest
 
 from missionsim.diagnose import words
-from missionsim.numerals import meter_clock, rounded, watts
+from missionsim.numerals import bare, meter_clock, rounded, watts
 from missionsim.report.page import format_cell
 from missionsim.report.terminal import signed
-from tests.diagnose.test_words import BATTERY, HELD, replace
+from tests.diagnose.test_words import BATTERY, GRADE, HELD, replace
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,17 @@ def test_a_clock_is_early_or_late_in_words() -> None:
 def test_a_car_has_kilowatts_in_plain_digits() -> None:
     held = replace(BATTERY.heldout, power_rmse_w={name: 2000.0 * value for name, value in HELD.items()})
     assert "power RMSE 9,200 → 5,400 → 2,400 W" in dict(words.report(replace(BATTERY, heldout=held)))["HELD-OUT"]
+
+
+def test_parameters_are_told_without_zeros_at_their_end_and_with_one_minus() -> None:
+    assert [bare(value) for value in (1.0, 0.98, -362.14, 13470.2, 100.0)] == ["1", "0.98", "−362.1", "13,470", "100"]
+    k = replace(GRADE.parameters["k"], low=-0.2)
+    assert "k = 0.98 (95 % −0.2 to 1.01)" in words.found_line(replace(GRADE, parameters={"k": k}))
+
+
+def test_beyond_that_is_said_once() -> None:
+    left = replace(BATTERY.unexplained, shape="a load that comes and goes")
+    energy = dict.fromkeys(HELD, 30.0)
+    both = replace(BATTERY, unexplained=left, heldout=replace(BATTERY.heldout, energy_error_pct=energy))
+    assert words.headline(both).count("Beyond that") == 1
+    assert "The energy of the runs not used is off by 30.0 %" in words.headline(both)
