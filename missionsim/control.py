@@ -125,6 +125,8 @@ class PowerPredictor:
         -------
         ndarray, shape (candidates,)
         """
+        if not 0.0 < step_s < np.inf:
+            raise InputError.single("a horizon needs a step of time", got=step_s, allowed="more than 0 s")
         speed = f64(speeds_m_s)
         first = f64(covariates.pop("start_speed_m_s", speed[..., 0]))
         before = np.concatenate([np.broadcast_to(first, speed.shape[:-1])[..., None], speed[..., :-1]], axis=-1)
@@ -183,6 +185,12 @@ class PowerPredictor:
     ) -> Optimum:
         """Speed and clock of least energy per metre on a grid, keeping the quality of service if asked."""
         speed, clock = np.meshgrid(f64(speeds_m_s), f64(clocks_hz), indexing="ij")
+        if not ((speed >= 0.0).all() and np.isfinite(speed).all() and (speed > 0.0).any() and (clock > 0.0).all()):
+            raise InputError.single(
+                "speeds or clocks that cannot be", allowed="numbers of 0 or more, one above 0 at least"
+            )
+        if not 0.0 <= complexity < np.inf:
+            raise InputError.single("a complexity that cannot be", got=complexity, allowed="0 or more")
         energy = self.energy_per_metre(speed, clock, complexity)
         allowed = self.meets_service(speed, clock, complexity) if service else np.ones(speed.shape, dtype=bool)
         if not allowed.any():

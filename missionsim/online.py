@@ -189,12 +189,18 @@ class OnlinePredictor:
     def update(self, time_s: float, power_w: float, speed_m_s: float = 0.0) -> None:
         """One sample: time from the start (s), power of the battery (W), speed (m/s, sideways speed included).
 
+        A power or a speed that is missing (nan, inf) counts as the one before; before the first power nothing counts.
+
         Raises
         ------
         missionsim.errors.InputError
             When the time does not increase.
         """
-        speed = speed_m_s if speed_m_s >= 0.0 else -speed_m_s
+        if not math.isfinite(power_w):
+            if self._time is None:
+                return
+            power_w = self._power
+        speed = abs(speed_m_s) if math.isfinite(speed_m_s) else self._speed
         if self._time is None:
             self._time, self._power, self._speed, self._first = time_s, power_w, speed, time_s
             return
@@ -253,7 +259,7 @@ class OnlinePredictor:
         Raises
         ------
         missionsim.errors.InputError
-            Where a column is missing.
+            Where a column is missing, or another length than the time.
         """
         time = np.asarray(_column(columns, "time_s"), dtype=float)
         if f"power_{battery}_w" in columns:
@@ -264,6 +270,9 @@ class OnlinePredictor:
         speed = np.abs(np.asarray(columns.get("speed_m_s", np.zeros_like(time)), dtype=float))
         if "lateral_speed_m_s" in columns:
             speed = np.hypot(speed, np.asarray(columns["lateral_speed_m_s"], dtype=float))
+        if not len(time) == len(power) == len(speed):
+            lengths = f"{len(time)}, {len(power)} and {len(speed)} values"
+            raise InputError.single("time, power and speed of different lengths", got=lengths, allowed="one a sample")
         due = -math.inf
         for t, p, v in zip(time.tolist(), power.tolist(), speed.tolist(), strict=True):
             self.update(t, p, v)

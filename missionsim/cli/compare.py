@@ -11,7 +11,7 @@ from missionsim import __version__
 from missionsim.cli.options import TERMINAL, OutFolder, OutPage, Output, OutRecording, RobotFile, tell_left_out
 from missionsim.compare import compare_files
 from missionsim.compare.comparison import thousandfold
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 from missionsim.exchange.mcap import write_comparison
 from missionsim.files import write_text
 from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
@@ -137,8 +137,10 @@ def calibrate(
         raise InputError.single("give either --new NAME with --base, or --robot R", got="both" if new else "neither")
     if new is not None and base is None:
         raise InputError.single("--new needs --base", allowed='--base "c2*v**2 + c3*v + c4"')
-    if robot is not None and base is not None:
-        raise InputError.single("--base belongs to --new", got=base)
+    drive_given = "" if drive == "differential" else drive
+    of_new = {"--base": base, "--mass": mass, "--capacity": capacity, "--max-speed": max_speed, "--drive": drive_given}
+    if robot is not None and (other := {name: value for name, value in of_new.items() if value}):
+        raise InputError([Fault("", 0, 0, f"{name} belongs to --new", "", str(value)) for name, value in other.items()])
     if not logs:
         raise InputError.single("give at least one log", allowed="files or folders")
     given = None if robot is None else build_power_model(load_robot(robot))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -82,7 +83,12 @@ def whatif(
         raise InputError.single("--workers cannot be used so", got=workers, allowed=f"1 to {MOST_WORKERS}")
     with to.progress() as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
-        found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)
+        try:
+            found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)
+        except InputError as error:
+            if study is None:
+                raise
+            raise InputError(f if f.file else replace(f, file=str(study)) for f in error.faults) from None
     to.warn(found.warnings)
     if out is not None:
         write_table(found.table(), out)

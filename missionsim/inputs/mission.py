@@ -225,6 +225,10 @@ class StudySpec(FileModel):
     vary: dict[Text, Annotated[tuple[JsonValue, ...], Field(min_length=1)]] = Field(default_factory=dict)
 
     def _check(self) -> None:
+        if "baseline" in self.alternatives:
+            raise wrong(
+                "'baseline' is what alternatives differ from", "baseline", "another name", "alternatives", "baseline"
+            )
         if not self.alternatives and not self.vary:
             allowed = "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}"
             raise wrong("a study needs alternatives or vary", "neither", allowed)

@@ -80,7 +80,9 @@ class BlockStore:
 
     def firsts(self) -> list[int]:
         """First runs of the blocks that are there, in order."""
-        return sorted(int(path.stem.split("_")[1]) for path in (self.folder / "blocks").glob("runs_*.parquet"))
+        names = (path.stem.removeprefix("runs_") for path in (self.folder / "blocks").glob("runs_*.parquet"))
+        # what else lies there, such as copies, is none of ours
+        return sorted(int(name) for name in names if name.isdecimal() and f"{int(name):09d}" == name)
 
     def names(self) -> list[str]:
         """Columns of the blocks."""
@@ -170,7 +172,7 @@ class BlockStore:
                 raise InputError.single(
                     "this file does not tell which batch is in the folder",
                     file=str(path),
-                    got=str(error),
+                    got=str(error) if isinstance(error, ValueError) else "no JSON object",
                     allowed="another --out, or the file as it was written",
                 ) from error
             new = _flat(identity)

@@ -48,6 +48,8 @@ def told_by(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("calibrate --new x --base v LOGS --out x.yaml", "no parameter that could be fitted"),
         ("calibrate --new x --base nan LOGS --out x.yaml", "no number that a formula can hold"),
         ("calibrate --new x --base '-k*v' LOGS --out x.yaml", "--base='-k*v'"),
+        ("calibrate --robot pioneer3dx --mass 3 LOGS --out x.yaml", "--mass belongs to --new"),
+        ("schema robot mission", "several schemas need --out"),
         ("montecarlo MISSION --runs 1.5", "--runs takes a whole number"),
         ("montecarlo MISSION --seed=0.5", "--seed takes a whole number"),
         ("whatif MISSION --vary defaults.speed=0.3,0.4 --workers 1.5", "--workers takes a whole number"),
@@ -210,3 +212,16 @@ def test_a_closed_standard_output(words: tuple[str, ...], code: int, told: str) 
     assert done.returncode == code
     assert told in done.stderr
     assert not done.stdout
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("alternatives: {a: {set: {defaults.sped: 0.3}}}", "study.yaml: error: unknown key 'sped'"),
+        ("alternatives: {baseline: {set: {}}}", "study.yaml:4:26: error: 'baseline' is what alternatives differ from"),
+    ],
+)
+def test_faults_of_a_study_name_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str, told: str) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(f"kind: study\nname: s\nmission: {Path(MISSION).resolve()}\n{more}\n")
+    assert told in told_by(capsys, "whatif", "--study", str(path))

@@ -120,3 +120,16 @@ def test_no_budget_gives_the_coarsest_and_says_so(rover: PowerPredictor) -> None
     auto = AutoFidelity(rover, (0.5, 9.0), 0.01, budget_s=0.0)
     level, kept = auto.choose()
     assert (level, kept) == (LEVELS[0], False)
+
+
+def test_what_cannot_be_a_setting_is_refused(rover: PowerPredictor) -> None:
+    clocks = rover.clocks()
+    for speeds in ([], [0.0], [-1.0, 1.0], [np.nan, 1.0]):
+        with pytest.raises(InputError, match="speeds or clocks"):
+            rover.best(speeds, clocks)
+    for complexity in (-1.0, float("nan")):
+        with pytest.raises(InputError, match="complexity"):
+            rover.best([1.0, 2.0], clocks, complexity)
+    for step_s in (0.0, float("nan")):
+        with pytest.raises(InputError, match="step of time"):
+            rover.horizon_energy(np.ones((2, 3)), step_s)

@@ -172,3 +172,17 @@ def test_voltage_and_current_serve_as_power(tunnel: Path) -> None:
     }
     ends = [list(OnlinePredictor.from_mission(mission).feed(c, every_s=600.0))[-1].drawn_j for c in (columns, split)]
     assert ends[0] == pytest.approx(ends[1], rel=1e-12)
+
+
+def test_samples_without_a_reading_count_as_the_one_before(tunnel: Path) -> None:
+    mission = load_mission(tunnel)
+    columns = record(simulate(mission), 0.5)
+    holes = {name: values.copy() for name, values in columns.items()}
+    holes["power_robot_w"][:2] = np.nan
+    holes["power_robot_w"][300:304] = np.inf
+    holes["speed_m_s"][500:503] = np.nan
+    whole, holed = (list(OnlinePredictor.from_mission(mission).feed(c, every_s=1e9))[-1] for c in (columns, holes))
+    assert holed.drawn_j == pytest.approx(whole.drawn_j, rel=2e-3)
+    assert holed.progress == pytest.approx(whole.progress, abs=2e-3)
+    with pytest.raises(InputError, match="different lengths"):
+        next(OnlinePredictor.from_mission(mission).feed({**columns, "power_robot_w": [1.0]}))

@@ -135,3 +135,15 @@ def test_alternatives_tell_how_sure_each_succeeds_and_what_it_keeps(tmp_path: Pa
     assert all(low <= row["p_feasible"] <= high for row in rows for low, high in [row["p_feasible_interval"]])
     differences = {d["quantity"]: d for d in rows[1]["differences"]}
     assert differences["margin_main_wh"]["mean"] == pytest.approx(-differences["energy_main_wh"]["mean"], rel=1e-9)
+
+
+def test_copies_beside_the_blocks_are_none(tmp_path: Path, mission: str) -> None:
+    out = tmp_path / "out"
+    assert batch(mission, out) == 0
+    whole = files(out)
+    first = out / "blocks/runs_000000000.parquet"
+    for name in ("runs_000000000 (copy).parquet", "runs_0.parquet"):
+        (out / "blocks" / name).write_bytes(first.read_bytes())
+    (out / "summary.json").unlink()
+    assert batch(mission, out, "--resume") == 0
+    assert {path: data for path, data in files(out).items() if path in whole} == whole
