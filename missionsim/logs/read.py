@@ -87,7 +87,9 @@ def read_logs(
     if faults and (left_out is None or not logs):
         raise InputError(faults)
     if left_out is not None:
-        left_out += [f"{Path(fault.file).stem}: {fault.message} (line {fault.line})" for fault in faults]
+        for file, (first, *more) in grouped(faults, lambda fault: fault.file).items():
+            told = f" (line {first.line})" * bool(first.line) + f", and {len(more)} faults more" * bool(more)
+            left_out.append(f"{Path(file).stem}: {first.message}{told}")
     names = [log.run for log in logs]
     return [
         replace(log, run=f"{Path(log.source).resolve().parent.name}/{log.run}") if names.count(log.run) > 1 else log

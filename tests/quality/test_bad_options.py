@@ -225,3 +225,13 @@ def test_faults_of_a_study_name_it(tmp_path: Path, capsys: pytest.CaptureFixture
     path = tmp_path / "study.yaml"
     path.write_text(f"kind: study\nname: s\nmission: {Path(MISSION).resolve()}\n{more}\n")
     assert told in told_by(capsys, "whatif", "--study", str(path))
+
+
+def test_a_log_of_many_faults_is_left_out_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.csv").write_text("time_s,power_robot_w\n" + "".join(f"{i},fast\n" for i in range(30)))
+    (tmp_path / "empty.parquet").write_bytes(b"")
+    assert run_command(["compare", "--robot", "pioneer3dx", f"{LOGS}/run_00.csv", str(tmp_path)]) == 1
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("LEFT OUT")]
+    assert [line.partition(":")[0] for line in lines] == ["LEFT OUT bad", "LEFT OUT empty"]
+    assert lines[0].endswith("this is not a number (line 2), and 20 faults more")
+    assert "line 0" not in lines[1]
