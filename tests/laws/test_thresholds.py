@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from missionsim.identify.gram import Gram
-from missionsim.identify.proposed import Law
-from missionsim.laws import gates, proposal, search
+from missionsim.identify.proposed import Curve, Law
+from missionsim.labels import Labels
+from missionsim.laws import factors, gates, levels, proposal, search
 from missionsim.laws.gates import Gates
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
@@ -134,10 +136,12 @@ def test_how_far_the_best_form_is_looked_for(at: int, steps: int, found: bool) -
     assert (best.form == ((100 + steps,) if steps else (at,))) is found
 
 
+LAW = Law("k * abs(speed_m_s)", "k·|v|", "W s/m", 5.0, 4.9, 5.1, 0.1, 0.0, variables=("speed_m_s",))
+
+
 def test_a_curve_is_nowhere_surer_than_the_rows_resolve() -> None:
-    law = Law("k * abs(speed_m_s)", "k·|v|", "W s/m", 5.0, 4.9, 5.1, 0.1, 0.0, variables=("speed_m_s",))
     time_s = np.arange(101.0)
-    curve = proposal._curve([law], SimpleNamespace(covariates=[{"speed_m_s": time_s / 100.0, "time_s": time_s}]), 0.0)
+    curve = proposal._curve([LAW], SimpleNamespace(covariates=[{"speed_m_s": time_s / 100.0, "time_s": time_s}]), 0.0)
     top = max(curve.watts)
     assert np.subtract(curve.high, curve.low) == pytest.approx(2.0 * 0.03 * top)
 
@@ -147,11 +151,58 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
     errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
     fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
-    law = Law("k * a", "k·a", "W", 5.0, 4.0, 6.0, 0.2, 0.0, variables=("a",))
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
-    for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", law), ("_curve", None), ("_twin", "")):
+    for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
     for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
         monkeypatch.setattr(proposal, "_judged", lambda *_, sd=scatter: ([None], [], fitted, Gates(sd, {})))
         made = proposal._propose(None, PLAIN, False, SimpleNamespace(noise={}))
         assert made.proposal.share_sd == pytest.approx(sd, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sd_w", "told"), [(0.45, "3 min at"), (0.55, "6 min at"), (0.95, "12 min at"), (1.05, "no drive")]
+)
+def test_how_long_a_drive_is_that_tells_two_forms_apart(
+    monkeypatch: pytest.MonkeyPatch, sd_w: float, told: str
+) -> None:
+    """They differ by 1.4 W; `sd_w`: of the difference of two means over 3 min, and less over longer ones."""
+    monkeypatch.setattr(proposal, "mean_variance", lambda _, seconds: 0.5 * 180.0 / seconds)
+    x, watts = (0.0, 1.0), (0.0, 5.0)
+    curve = Curve("speed_m_s", "m/s", x, watts, watts, watts, {}, 0.5)
+    drive = proposal._experiment([LAW, replace(LAW, k=6.0)], curve, (), {"sd_w": sd_w * 1.4})
+    assert drive.startswith(told)
+
+
+@pytest.mark.parametrize(("r", "own"), [(0.985, set()), (0.995, {"pack_reading"}), (-0.995, {"pack_reading"})])
+def test_a_column_that_is_the_measured_power_is_no_cause(r: float, own: set[str]) -> None:
+    power, reading = at_an_angle(r)
+    ground = SimpleNamespace(covariates=[{"pack_reading": 5.0 + reading}], design=SimpleNamespace(y=power))
+    ground.averaged = lambda raw: raw[0]
+    assert proposal._own_meter(ground) == own
+
+
+@pytest.mark.parametrize(("least", "part"), [(0.045, 0.0), (0.055, 0.055), (-0.2, 0.0)])
+def test_a_level_far_below_the_highest_is_none(monkeypatch: pytest.MonkeyPatch, least: float, part: float) -> None:
+    monkeypatch.setattr(levels, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
+    design = SimpleNamespace(phi=np.eye(3), layout=SimpleNamespace(unit=lambda _: 10.0))
+    gram = SimpleNamespace(coefficients=lambda _: (np.array([0.2, 0.1, 0.2 * least]), None))
+    ground = SimpleNamespace(chosen=(), extended=lambda _: design)
+    ground.at_noise = lambda *_: SimpleNamespace(gram=gram, chosen=())
+    own = SimpleNamespace(ground=ground, columns=lambda _: np.eye(3))
+    fitted = SimpleNamespace(model=SimpleNamespace(noise=None))
+    _, parts, _ = levels._with_levels(own, fitted, (), range(3))
+    assert parts == pytest.approx({0: 1.0, 1: 0.5, 2: part})
+
+
+@pytest.mark.parametrize(("texts", "factors_of_it"), [(1, 0), (6, 6), (7, 0)])
+def test_a_label_of_few_texts_has_a_factor_of_each(texts: int, factors_of_it: int) -> None:
+    run = {"time_s": np.arange(70.0), "surface": Labels.of([f"floor {i % texts}" for i in range(70)])}
+    assert sum(f.variable == "surface" for f in factors.make_grammar([run], set()).factors) == factors_of_it
+
+
+def test_six_columns_beyond_the_glossary_enter() -> None:
+    rng = np.random.default_rng(1)
+    run = {"time_s": np.arange(70.0), **{f"reading_{i}": rng.random(70) for i in range(8)}}
+    assert {f.variable for f in factors.make_grammar([run], set()).factors} >= {f"reading_{i}" for i in range(6)}
+    assert "reading_6" not in {f.variable for f in factors.make_grammar([run], set()).factors}
