@@ -102,7 +102,7 @@ def test_what_the_first_pass_lets_through(
     assert bool(Search.screen(own, None)) is worth
 
 
-@pytest.mark.parametrize(("errors", "kept"), [((0.99,), 1), ((0.998,), 0), ((0.5, 0.51), 2), ((0.5, 0.52), 1)])
+@pytest.mark.parametrize(("errors", "kept"), [((0.99,), 1), ((0.997,), 0), ((0.5, 0.51), 2), ((0.5, 0.52), 1)])
 def test_at_a_glance_a_law_predicts_left_out_runs_better_and_hardly_worse_than_the_best(
     monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], kept: int
 ) -> None:
@@ -174,7 +174,7 @@ def test_how_long_a_drive_is_that_tells_two_forms_apart(
     assert drive.startswith(told)
 
 
-@pytest.mark.parametrize(("r", "own"), [(0.985, set()), (0.995, {"pack_reading"}), (-0.995, {"pack_reading"})])
+@pytest.mark.parametrize(("r", "own"), [(0.988, set()), (0.993, {"pack_reading"}), (-0.993, {"pack_reading"})])
 def test_a_column_that_is_the_measured_power_is_no_cause(r: float, own: set[str]) -> None:
     power, reading = at_an_angle(r)
     ground = SimpleNamespace(covariates=[{"pack_reading": 5.0 + reading}], design=SimpleNamespace(y=power))
