@@ -245,16 +245,17 @@ class Intervals:
         from scipy.sparse import csr_array
 
         left, s, weight = self._places(delay_s, lag_s)
-        data = np.empty((s.shape[1], len(weight), 4))
-        at = np.empty(data.shape, dtype=np.int32)
         rows = int(self.first[-1] + self.count[-1]) + 1
-        for i, part in enumerate(_hermite(s)):
-            data[:, :, i] = (weight[:, None] * part).T
-            at[:, :, i] = left.T
-            at[:, :, i] += (0, 1, rows, rows + 1)[i]
+        # filled along the edges and turned once: a matrix has its numbers row by row
+        data = np.empty((len(weight), 4, s.shape[1]))
+        at = np.empty(data.shape, dtype=np.int32)
+        for i, (part, edge) in enumerate(zip(_hermite(s), (0, 1, rows, rows + 1), strict=True)):
+            np.multiply(weight[:, None], part, out=data[:, i])
+            np.add(left, edge, out=at[:, i])
+        by_row, places = (x.reshape(-1, s.shape[1]).T.ravel() for x in (data, at))
         count = len(self.edges_s)
         ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
-        return csr_array((data.ravel(), at.ravel(), ends), shape=(count, 2 * rows)), weight @ (left + s)
+        return csr_array((by_row, places, ends), shape=(count, 2 * rows)), weight @ (left + s)
 
     def means(self, curves: Array, weights: Weights) -> Array:
         """Mean of columns over every interval, shape (intervals, k), from their `integral_curves`."""
