@@ -80,7 +80,7 @@ def start_factor(
     correlation[0] = 1.0 + 1e-9
     factor = np.linalg.cholesky(correlation[APART])
     ratio = arma_of(step_s, fast_s, slow_s, fast_share, slow_share)[2]
-    diagonal = np.diag(factor)
+    diagonal = factor.diagonal()
     excess = 2.0 * float(np.sum(np.log(diagonal * ratio)))
     return np.ascontiguousarray(dtrtri(factor, lower=1)[0]), diagonal, excess
 
@@ -141,15 +141,15 @@ class Group:
         """Cut `parts` out of rows (k, n) with the roots of their weights (n,); runs begin at `begins`."""
         longest = max(part.stop - part.start for part in parts)
         begun = min(START_ROWS, longest)
-        whole = begun + -(-(longest - begun) // BLOCK) * BLOCK
-        own = np.full((len(parts), len(rows), whole), NO_DENORMALS)
-        roots = np.zeros((len(parts), 1, whole))
+        blocks = -(-(longest - begun) // BLOCK) * BLOCK
+        head, tail = (np.full((len(parts), len(rows), n), NO_DENORMALS) for n in (begun, blocks))
+        head_root, tail_root = (np.zeros((len(parts), 1, n)) for n in (begun, blocks))
         for i, part in enumerate(parts):
-            own[i, :, : part.stop - part.start] = rows[:, part]
-            roots[i, 0, : part.stop - part.start] = root[part]
+            middle = min(part.start + begun, part.stop)
+            first, rest = slice(part.start, middle), slice(middle, part.stop)
+            head[i, :, : middle - part.start], head_root[i, 0, : middle - part.start] = rows[:, first], root[first]
+            tail[i, :, : part.stop - middle], tail_root[i, 0, : part.stop - middle] = rows[:, rest], root[rest]
         at = np.searchsorted(begins, [part.start for part in parts], side="right") - 1
-        cut = (np.ascontiguousarray(x) for x in (*np.split(own, [begun], axis=2), *np.split(roots, [begun], axis=2)))
-        head, tail, head_root, tail_root = cut
         return cls(head, head_root, tail, tail_root, tuple(parts), at, len(set(at.tolist())) == len(at))
 
     def filtered(self, shape: Shape) -> tuple[Array, Array]:
@@ -161,7 +161,7 @@ class Group:
 
         inverse, diagonal, _ = start_factor(*shape)
         count = self.head.shape[2]
-        head = self.head @ inverse[:count, :count].T
+        head = (self.head.reshape(-1, count) @ inverse[:count, :count].T).reshape(self.head.shape)
         tail = self.tail
         if tail.shape[2]:
             matrix = block_filter(shape)
