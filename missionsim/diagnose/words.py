@@ -9,11 +9,10 @@ from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.waterfall import unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal
+from missionsim.identify.settings import Settings
 from missionsim.numerals import bare, meter_clock, rounded, watts
 
 MOST_NOT_SEEN = 8
-RECALIBRATION_SD = 4.0
-"""Prior standard deviations up to which a shift of a base parameter is recalibration (`Settings`)."""
 BLIND_SHARE = 0.5
 """Detection limits from here on mean that the data say nothing of an effect."""
 
@@ -110,7 +109,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         (False, "recalibrated, no discovery"),
         (True, "further off than its sd allows, and no effect takes its place; check file and logs"),
     ):
-        own = [s for s in shifts if (abs(s.shift_in_prior_sd) > RECALIBRATION_SD) == beyond]
+        own = [s for s in shifts if (abs(s.shift_in_prior_sd) > Settings.recalibration_limit) == beyond]
         shifted = [(s.parameter, f"{s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)") for s in own]
         told = [f"{name} {by.replace('-', '−')}" for name, by in shifted]
         lines += [("BASE", f"{said}: {', '.join(told)}")] if told else []

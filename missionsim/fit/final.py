@@ -26,9 +26,8 @@ ROUNDS = 3
 """Steps of Gauss and Newton; nearly all models are linear in what is fitted."""
 STILL = 1e-7
 """Relative change below which a fit has come to rest, and a model is linear."""
-BLOCK_S = 20.0
 SEVERAL_RUNS = 4
-"""From so many runs on errors are clustered by run, below by blocks of `BLOCK_S`."""
+"""From so many runs on errors are clustered by run, below by blocks of `Settings.block_s`."""
 FREE_SD = 1e3
 """Relative prior standard deviation that leaves a parameter to the logs."""
 LEFT = 1e-3
@@ -232,7 +231,7 @@ class _System:
         x = np.asarray(design.gradient[: len(names)]).T
         left, seconds, cluster = design.y - design.base, design.duration_s, design.run_index()
         if len(design.runs) < SEVERAL_RUNS:
-            blocks = np.floor((design.time_s - design.time_s.min()) / BLOCK_S).astype(np.intp)
+            blocks = np.floor((design.time_s - design.time_s.min()) / settings.block_s).astype(np.intp)
             cluster = np.asarray(cluster * (int(blocks.max()) + 2) + blocks, dtype=np.intp)
         raw = _energies(data, names)
         return cls(names, x, left, seconds, cluster, *raw, design.y, runs=data, source=source, clock=clock)

@@ -31,8 +31,6 @@ from missionsim.physics import Array
 
 Rows32 = NDArray[np.float32]
 CHUNK = 256
-FREER = 4.0
-"""A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
 BLOCK = 60
 """Rows that are whitened by one product of matrices."""
 LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
@@ -219,7 +217,9 @@ class Sieve:
         inside = total[1:, 1:] + np.diag(precision)
         self.solved = np.linalg.solve(inside, np.column_stack([total[1:, 0]]))[:, 0]
         self.inverse = np.linalg.inv(inside)
-        self.free = np.linalg.inv(total[1:, 1:] + np.diag(precision / FREER**2))
+        # what the base explains within the prior standard deviations of a recalibration is no law
+        freer = ground.model.constraints.settings.recalibration_limit
+        self.free = np.linalg.inv(total[1:, 1:] + np.diag(precision / freer**2))
 
     def coarse(self, rows: Array) -> Rows32:
         """Rows (k, n) averaged to the coarser grid."""

@@ -23,7 +23,6 @@ LEAST_BETTER = 0.98
 """A law lowers the error of left-out runs at least to this part: what is left of the form of another law does not."""
 FEW_BETTER = 0.95
 """The same where the base is far from right and the runs are too few to be the sample."""
-BLOCK_S = 20.0
 ACTS = 0.02
 """Part of a law's squared power from which on it acts in a run."""
 
@@ -43,7 +42,7 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
     `clock`: whether the law reads a clock, which any wander of half the runs looks like.
     """
     model = fitted.model
-    share, sd = _robust(model, fitted.column, BLOCK_S)
+    share, sd = _robust(model, fitted.column, model.constraints.settings.block_s)
     least, runs = LEAST_BETTER, 0
     if model.squares is not None:
         # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s

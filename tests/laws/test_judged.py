@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from missionsim.identify.gram import Gram
+from missionsim.identify.settings import Settings
 from missionsim.laws import gates, proposal
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
@@ -92,6 +93,11 @@ def _judged(monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], errors: tup
     return [names[one.form[0]] for one in kept]
 
 
+def model_of(far: bool, runs: int) -> SimpleNamespace:
+    settings = SimpleNamespace(settings=Settings())
+    return SimpleNamespace(squares=() if far else None, design=SimpleNamespace(runs=range(runs)), constraints=settings)
+
+
 @pytest.mark.parametrize(
     ("far", "factors", "acting", "held"),
     [(True, 3, 2, False), (True, 3, 3, True), (True, 2, 2, True), (True, 1, 1, True), (False, 3, 2, True)],
@@ -101,8 +107,7 @@ def test_far_from_right_a_product_of_three_needs_three_runs_in_which_it_acts(
 ) -> None:
     monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=acting, acting=acting)
-    squares = () if far else None
-    model = SimpleNamespace(squares=squares, design=SimpleNamespace(runs=[slice(0, 1)] * acting))
+    model = model_of(far, acting)
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=tuple(range(factors)))
     passed = gates.gates(law).passed
     assert passed.pop("several runs") is held
@@ -116,7 +121,7 @@ def test_far_from_right_whole_runs_are_the_sample_where_they_are_several(
     """Twenty standard errors over blocks of time, and two over runs, whose floors and loads differ."""
     monkeypatch.setattr(gates, "_robust", lambda _, __, block_s: (0.1, 0.05 if np.isinf(block_s) else 0.005))
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=runs, acting=runs)
-    model = SimpleNamespace(squares=() if far else None, design=SimpleNamespace(runs=[slice(0, 1)] * runs))
+    model = model_of(far, runs)
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=(0,))
     assert gates.gates(law).passed["blocks"] is held
 
@@ -126,7 +131,7 @@ def test_a_clock_must_help_in_three_runs_of_four(
     monkeypatch: pytest.MonkeyPatch, better: int, clock: bool, held: bool
 ) -> None:
     monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
-    model = SimpleNamespace(squares=None, design=SimpleNamespace(runs=[slice(0, 1)] * 8))
+    model = model_of(False, 8)
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=better, acting=8)
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=(0,))
     assert gates.gates(law, clock=clock).passed["left-out runs"] is held
@@ -253,6 +258,6 @@ def test_a_law_is_large_enough_and_predicts_the_runs_left_out(
 ) -> None:
     monkeypatch.setattr(gates, "_robust", lambda *_: (share, 1e-4))
     errors = gates.LeftOut(1.0, ratio, 1.0, 1.0, runs, runs, (ratio,) * runs)
-    model = SimpleNamespace(squares=() if far else None, design=SimpleNamespace(runs=range(runs)))
+    model = model_of(far, runs)
     law = SimpleNamespace(model=model, column=0, errors=errors, form=(0, 1), rise=rise, penalty=9.0)
     assert {name for name, passed in gates.gates(law).passed.items() if not passed} == refused
