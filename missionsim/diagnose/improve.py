@@ -308,6 +308,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     floor_pct, floor_w = noise_floor(last)
     # where much is unexplained the noise holds a part of it, and a model that errs by less shows that (`floor_note`)
     steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
+    doubted = last_models.leaning(taken, last_models.fit(taken)) if taken else ()
     base_alone = bool(heldout) and not taken and clearly_better(steps[-2], steps[0])
     if base_alone:
         text, _ = write(end.given, robot_from_text(end.given), models, (), last_models.fit(()), split)
@@ -322,7 +323,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         last,
         stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested)
         + (beyond_note(models.runs, heldout) if unseen_note(last) else "")
-        + fed_note(last, battery, models.runs, heldout),
+        + fed_note(last, battery, models.runs, heldout)
+        + "".join(f" {one.effect}: {one.remark}." for one in doubted if one.remark),
         untested=untested,
         base_alone=base_alone,
     )
