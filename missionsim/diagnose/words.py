@@ -89,10 +89,10 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
             more = "; more of the same data will not help"
         elif nats < 5.0:
             more = f"; expected lead {nats:.1f} nats, about {5.0 / nats:.1f} times these data would settle it"
-        share = f"{100 * effect.energy_share:.1f} % of energy"
+        share = f"{_percent(effect.energy_share)} % of energy"
         lines.append(("UNSURE", f"{' OR '.join(names)}, {share}: these data cannot tell{more}"))
     lines += [
-        ("DOUBTFUL", f"{one.effect}: {100 * one.doubtful_share:.1f} % of energy; not named: {one.reason}")
+        ("DOUBTFUL", f"{one.effect}: {_percent(one.doubtful_share)} % of energy; not named: {one.reason}")
         for one in battery.candidates
         if one.doubtful_share is not None
     ]
@@ -138,10 +138,10 @@ def found_line(effect: Finding) -> str:
     """An effect that was found: share of energy with interval, parameters, level."""
     interval = ""
     if math.isfinite(effect.share_low):
-        interval = f" (95 % {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f})"
+        interval = f" (95 % {_percent(effect.share_low)} to {_percent(effect.share_high)})"
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
     return (
-        f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {parameters_told(effect)}; "
+        f"{effect.effect}: {_percent(effect.energy_share)} % of energy{interval}; {parameters_told(effect)}; "
         f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.remark)}{effect.remark}"
     )
 
@@ -221,3 +221,7 @@ def _not_seen(battery: BatteryDiagnosis) -> str:
 
 def _unit(unit: str) -> str:
     return "" if unit in ("1", "") else f" {unit}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}".replace("-", "−")

@@ -113,7 +113,10 @@ def demoted(model: Model, evidence: Evidence, remains: Remains) -> str:
             gain = float(model.gram.gain(model.chosen) - model.gram.gain(rest))
         # told with a load whose switch is stuck, it is a question, and that load may be what comes and goes
         stuck = candidate.may_be(abs(evidence.share) * model.design.layout.mean_power_w)
-        if not stuck and gain < FAINT_NATS:
+        # what is constant in a run is seen in the means of runs, over which the noise within them averages out
+        tail = float(tails(model.constraints, True)[column])
+        between = cause_is_constant(model, column) and evidence.p_runs < 2.0 * tail
+        if not stuck and not between and gain < FAINT_NATS:
             return "faint beside low-frequency noise"
     # a curve over the effect's own covariate is judged as its form
     others = [s for s in (*remains.forms.values(), *remains.dependences) if s.covariate != candidate.covariate]

@@ -303,6 +303,10 @@ def test_each_demotion_alone_keeps_an_effect_unnamed(grade: Question) -> None:
     assert demoted(standby.model, standby.evidence, loose) == "a load that comes and goes has its mean"
     assert demoted(model, replace(evidence, gain=500.0), loose) == ""
     assert demoted(model, replace(evidence, gain=45.0), loose) == "faint beside low-frequency noise"
+    payload = question(fitted("payload", 0.1))  # constant in each run, which are the sample then
+    assert demoted(payload.model, replace(payload.evidence, gain=45.0, p_runs=1e-9), loose) == ""
+    assert demoted(payload.model, replace(payload.evidence, gain=45.0, p_runs=1e-3), loose).startswith("faint")
+    assert demoted(model, replace(evidence, gain=45.0, p_runs=1e-9), loose).startswith("faint")
     label = question(fitted("surface_rolling_resistance", 0.1))
     one_level = replace(label.evidence, gain=5.0)
     assert demoted(label.model, one_level, loose) == ""  # a label is as faint as all its levels together
