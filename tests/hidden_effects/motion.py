@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -152,6 +151,8 @@ def smooth(values: Array, tau_s: float, step_s: float = STEP_S) -> Array:
     if tau_s <= 0.0:
         return values
     a = float(np.exp(-step_s / tau_s))
+    from scipy.signal import lfilter  # takes most of a second to import
+
     out, _ = lfilter([1.0 - a], [1.0, -a], values, zi=[a * values[0]])
     return np.asarray(out)
 
@@ -160,6 +161,8 @@ def wander(n: int, tau_s: float, rng: np.random.Generator, tails: float | None =
     """Stationary AR(1) of unit variance with the correlation time ``tau_s``; ``tails`` = degrees of freedom."""
     a = float(np.exp(-STEP_S / tau_s))
     shock = rng.standard_normal(n) if tails is None else rng.standard_t(tails, n) / np.sqrt(tails / (tails - 2.0))
+    from scipy.signal import lfilter
+
     out, _ = lfilter([np.sqrt(1.0 - a * a)], [1.0, -a], shock, zi=[a * rng.standard_normal()])
     return np.asarray(out)
 

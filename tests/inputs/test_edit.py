@@ -42,6 +42,17 @@ def test_adding_and_removing_an_effect_restores_the_text(name: str) -> None:
     assert changed_lines(text, Editing(with_effect).remove_effect(len(load_robot(name).effects)).text) == []
 
 
+def test_a_text_that_is_opened_again_knows_nothing_of_the_changes_before() -> None:
+    # an anchor and its alias, which a copy of what was read has to keep as one
+    text = robot_text("pioneer3dx").replace("source: ", "source: &where ", 1)
+    text = text.replace("source: Table 4 row 22}", "source: *where }") + "# the end\n"
+    first = Editing(text).text
+    assert "source: *where" in first
+    changed = Editing(text).add_effect(EFFECT).set_values({"motion.parameters.c3": 3.5})
+    assert changed.text != first
+    assert Editing(text).text == first
+
+
 def test_an_effect_stands_at_the_end_with_its_origin() -> None:
     text = robot_text("pioneer3dx")
     assert changed_lines(text, Editing(text).add_effect(EFFECT).text) == [
