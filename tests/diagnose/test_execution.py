@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
+from missionsim.diagnose.execution import ExecutionEffect, _judged, execution_effects, seen_once, told_of
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission
@@ -137,3 +138,22 @@ def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
     named = [one for one in execution_effects(timeline, logs, "robot") if one.found]
     assert [(one.effect, one.scheme) for one in named] == [("path_stretch", "path_following")]
     assert named[0].value == pytest.approx(1.15, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("effect", "value", "away"),
+    [
+        ("path_stretch", 1.008, False),  # an odometer's scale
+        ("path_stretch", 1.012, True),
+        ("speed_tracking", 0.992, False),
+        ("speed_tracking", 0.988, True),
+        ("dwell", 1.8, False),
+        ("dwell", 2.2, True),
+        ("dwell", -9.0, False),
+    ],
+)
+def test_two_runs_show_what_is_beyond_an_odometers_scale(effect: str, value: float, away: bool) -> None:
+    assert _judged(effect, "", np.full(2, value), 0.05, 1e-3).found is away
+    once = _judged(effect, "", np.full(1, value), 0.011, 1e-3)
+    assert bool(seen_once([once])) is (away or value < 0.0)
+    assert not seen_once([replace(once, energy_share=0.009)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.leftover import beyond_note, fed_note, standing_out
 from missionsim.diagnose.split import Split
-from missionsim.identify.findings import Structure
+from missionsim.identify.findings import Judged, Structure
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
@@ -134,4 +136,19 @@ def test_what_the_runs_not_used_have_beyond_the_fitted_ones_is_told() -> None:
 
     summer = [run(seed, 15.0 + 4.0 * seed, "tile" if seed % 2 else "grass") for seed in range(4)]
     assert beyond_note(summer, [run(4, 2.0, "tile"), run(5, -4.0, "snow")]).endswith("surface (snow), temp_ambient_c.")
-    assert beyond_note(summer, [run(6, 20.0, "tile")]) == ""
+    # the fitted ones have 15 to 27 degC, a standard deviation of 4.5 about 21
+    assert beyond_note(summer, [run(6, 29.5, "tile")]) == ""
+    assert "temp_ambient_c" in beyond_note(summer, [run(6, 30.5, "tile")])
+
+
+@pytest.mark.parametrize(("here", "there", "told"), [(0.005, 0.028, False), (0.005, 0.032, True), (0.015, 0.5, False)])
+def test_watts_that_are_worth_a_sentence(here: float, there: float, told: bool) -> None:
+    """Parts of the energy, where one part in a hundred would be seen in the fitted runs."""
+
+    def run(part: float) -> LogTable:
+        log = drive(1, seconds=60.0)
+        return drawing(log, log.power_w["robot"], power_heater_w=part * log.power_w["robot"])
+
+    heater = Judged("logged_power:power_heater_w", False, "", 0.01)
+    last = SimpleNamespace(candidates=[Judged("grade", False, "", 0.01), heater])
+    assert bool(fed_note(last, "robot", [run(here)], [run(there)])) is told

@@ -11,7 +11,17 @@ import pytest
 
 from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved, _why
-from missionsim.diagnose.waterfall import Step, energy_note, measured_note, noise_floor, noted, power_of_floor
+from missionsim.diagnose.waterfall import (
+    Step,
+    clearly_better,
+    energy_note,
+    measured_note,
+    noise_floor,
+    noted,
+    power_of_floor,
+    unseen_note,
+    worse_note,
+)
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.identify.noise import mean_variance
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
@@ -35,6 +45,7 @@ def improved(after_pct: float, runs: int = 1) -> Improved:
 def test_energy_note_is_silent_where_both_errors_fall() -> None:
     assert energy_note(improved(0.1)) == ""
     assert energy_note(improved(0.495)) == ""  # by less than half of the floor's 0.6 %
+    assert energy_note(improved(0.505)) != ""
 
 
 # fitted to four: 0.6 sqrt(5/4) = 0.671; one run: 0.671 (1 + 2 sqrt(pi/2 - 1)) = 1.68 %; nine runs: with 2/3, 1.01 %
@@ -211,3 +222,36 @@ def test_a_noise_floor_that_no_model_is_above_is_told_as_a_bound() -> None:
     assert "at most the error of the last model" in measured_note(cut)
     lucky = measured_note(improved(0.3, runs=4))  # 0.6 (1 ± 2 sqrt(pi/2 - 1) / 2)
     assert "over 4 runs a true model shows 0.15 to 1.05 %" in lucky
+
+
+@pytest.mark.parametrize(("floors", "told"), [(2.9, False), (3.1, True)])
+def test_runs_that_are_off_by_three_noise_floors_are_told(floors: float, told: bool) -> None:
+    error_pct = floors * noise_floor(BATTERY)[0] * math.sqrt(2.0)  # fitted to one run: twice its variance
+    held = HeldOut("the last run", ("run_05",), {"nominal": error_pct, "recalibrated": error_pct}, HELD)
+    assert bool(unseen_note(replace(BATTERY, heldout=held))) is told
+
+
+@pytest.mark.parametrize(
+    ("energy_pct", "power_w", "better"),
+    [(1.0, 94.5, True), (1.0, 95.5, False), (1.004, 50.0, True), (1.006, 50.0, False)],
+)
+def test_a_recalibration_that_is_clearly_better(energy_pct: float, power_w: float, better: bool) -> None:
+    assert clearly_better(Step("recalibrated", energy_pct, power_w), Step("before", 1.0, 100.0)) is better
+
+
+@pytest.mark.parametrize(
+    ("powers_w", "energy_pct", "worse"),
+    [
+        ((30.0, 20.0, 20.15), 1.0, False),  # 1 % above the better of file and recalibration
+        ((30.0, 20.0, 20.25), 1.0, True),
+        ((20.0, 20.0, 20.015), 1.0, False),  # or a thousandth above the worse one
+        ((20.0, 20.0, 20.025), 1.0, True),
+        ((30.0, 20.0, 10.0, 10.08), 1.0, False),
+        ((30.0, 20.0, 10.0, 10.12), 1.0, True),
+        ((30.0, 20.0, 10.0), 1.004, False),
+        ((30.0, 20.0, 10.0), 1.006, True),
+    ],
+)
+def test_what_counts_as_worse(powers_w: tuple[float, ...], energy_pct: float, worse: bool) -> None:
+    bars = [Step("", energy_pct if i == len(powers_w) - 1 else 1.0, power) for i, power in enumerate(powers_w)]
+    assert bool(worse_note(bars, ["grade", "payload"])) is worse

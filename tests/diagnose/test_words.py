@@ -240,3 +240,11 @@ def test_a_battery_is_named_where_there_are_several() -> None:
     page = diagnosis_page(Diagnosis("pioneer3dx", both))
     assert page.count("Battery laptop: Climbing costs") == 1
     assert "Battery robot: Climbing" not in diagnosis_page(Diagnosis("pioneer3dx", {"robot": BATTERY}))
+
+
+def test_limits_above_half_of_the_energy_say_nothing_and_eight_are_shown() -> None:
+    many = tuple(Judged(f"e{i}", False, "", 0.01 * i) for i in range(1, 9))
+    limits = (*many, Judged("near", False, "", 0.45), Judged("blind", False, "", 0.55))
+    told = dict(words.report(replace(BATTERY, candidates=limits)))["NOT SEEN"]
+    assert "e8 < 8.0 % and 1 more with higher limits" in told
+    assert told.endswith("say nothing of blind")
