@@ -23,9 +23,10 @@ _HEIGHT = ("elevation", "z", "ele", "height")
 _LENGTH = ("length", "length_m", "distance", "dist")
 _SPEED = ("max_speed", "speed_limit", "max_speed_m_s", "maxSpeed", "speed")
 _KMH = ("speed_kph", "maxspeed")
+_SLOPE = ("grade", "slope")
 _TITLE = ("name", "label", "title")
 _NODE_USED = {*_X, *_Y, *_LAT, *_LON, *_HEIGHT, *_TITLE, "pos", "position", "id"}
-_EDGE_USED = {*_LENGTH, *_SPEED, *_KMH, "name", "label", "id", "grade", "slope", "weight", "source", "target", "key"}
+_EDGE_USED = {*_LENGTH, *_SPEED, *_KMH, *_SLOPE, "name", "label", "id", "weight", "source", "target", "key"}
 _NO = {"", "0", "false", "no", "none"}
 
 
@@ -116,6 +117,10 @@ def _fill(
         _left(node, _NODE_USED, "a node", site)
     for edge in edges:
         start, end = names[edge.ends[0]], names[edge.ends[1]]
+        for keys in (_LENGTH, _SPEED, _SLOPE):
+            given = [key for key in keys if edge.attributes.get(key) is not None]
+            if given and _number(edge, keys) is None:
+                site.tell(f"left out: '{given[0]}' of an edge that is no number", edge.line)
         length = _number(edge, _LENGTH)
         if length is None and (length := _number(edge, ("weight",))) is not None:
             site.tell("weight of an edge is taken for its length in metres", edge.line)
@@ -129,7 +134,7 @@ def _fill(
         named = [edge.attributes[key] for key in ("name", "label", "id") if edge.attributes.get(key) is not None]
         name = clean(str(named[0])) if named else ""
         speed = _speed(edge, site)
-        slope, rise = None, _number(edge, ("grade", "slope"))
+        slope, rise = None, _number(edge, _SLOPE)
         if rise is not None and abs(rise) > 2.0:
             site.tell("left out: slope of an edge above 200 % (rise over run is expected)", edge.line)
         elif rise:

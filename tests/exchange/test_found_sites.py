@@ -205,3 +205,13 @@ def test_lowest_of_several_speeds_of_a_street(tmp_path: Path) -> None:
     street = {"source": "a", "target": "b", "maxspeed": "['50', '30', '25 mph']"}
     site = site_of(tmp_path / "g.json", {"nodes": nodes, "links": [street]})
     assert site.edges[0]["max_speed"] == pytest.approx(30 / 3.6)
+
+
+def test_what_of_an_edge_is_no_number_is_told(tmp_path: Path) -> None:
+    nodes = [{"id": "a", "x": 0, "y": 0}, {"id": "b", "x": 9, "y": 0}]
+    edge = {"source": "a", "target": "b", "max_speed": "abc", "slope": "steep", "length": None}
+    site = site_of(tmp_path / "g.json", {"nodes": nodes, "links": [edge]})
+    told = " ".join(str(vars(remark)) for remark in site.remarks.values())
+    assert "'max_speed' of an edge that is no number" in told
+    assert "'slope' of an edge that is no number" in told
+    assert "length" not in told
