@@ -32,10 +32,9 @@ from missionsim.identify.findings import (
     Structure,
     Where,
 )
-from missionsim.identify.proposed import Proposal
+from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import ALPHA, Settings
 from missionsim.identify.verdict import decide
-from missionsim.laws.proposal import plain
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name

@@ -18,6 +18,7 @@ from missionsim.identify.findings import Experiment, Finding, Unexplained
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Gram, make_gram, single_gains
 from missionsim.identify.model import Model
+from missionsim.identify.proposed import plain
 from missionsim.identify.settings import BETTER_NATS, DECIDED_NATS, ENOUGH_NATS, LENGTHS, MOST_PROPOSED, Settings
 from missionsim.runs.run import Run
 
@@ -90,7 +91,7 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             proposed += propose(bench, (effect.effect, *rivals))
     if not proposed and left is not None:
         on = tuple(left.depends_on)
-        form = f"to see the form of the dependence on {', '.join(on)}"
+        form = f"to see the form of the dependence on {', '.join(map(plain, on))}"
         if set(on) <= {"time_s", "run"}:
             form = "to see whether what no column shows is there at rest too, or only in motion"
         if "run" in on:

@@ -20,6 +20,7 @@ from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noi
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
+from missionsim.identify.proposed import plain
 from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
@@ -340,7 +341,7 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
         return f"these data cannot tell {names}, so {none} is added.{drive}"
     undecided = next((law for law in last.proposed_laws if law.open), None)
     if undecided is not None:
-        names = " or ".join(undecided.possible)
+        names = " or ".join(map(plain, undecided.possible))
         return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
     if last.verdict == "unexplained_structure" and last.unexplained.shape:
         told = f"something remains that the library does not contain: {last.unexplained.shape}."
@@ -352,7 +353,7 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
     if nothing:
         return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."
     if last.unexplained.depends_on:
-        on = ", ".join(last.unexplained.depends_on)
+        on = ", ".join(map(plain, last.unexplained.depends_on))
         return f"no further effect is above the detection limits; what remains still varies with {on}."
     if last.unexplained.shape:
         return f"no further effect is above the detection limits; what remains: {last.unexplained.shape}."

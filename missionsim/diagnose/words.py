@@ -8,7 +8,7 @@ from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.waterfall import unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
-from missionsim.identify.proposed import Proposal
+from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.numerals import bare, meter_clock, rounded, watts
 
@@ -37,7 +37,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
         if law.instead_of:
             fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
         if law.open:
-            fits += f"; whether it is {' or '.join(law.possible)} that it follows, these data cannot tell"
+            fits += f"; whether it is {' or '.join(map(plain, law.possible))} that it follows, these data cannot tell"
         said.append(f"{sentences.law(law)}; {fits}.")
     if battery.proposed_laws:
         if left.shape:
@@ -47,7 +47,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     elif battery.verdict == "unexplained_structure":
         said.append(
             f"Something is {'also ' if battery.effects else ''}missing that the library does not contain; it "
-            f"varies with {', '.join(left.depends_on)} ({left.shape})."
+            f"varies with {', '.join(map(plain, left.depends_on))} ({left.shape})."
         )
     elif left.shape:
         said.append(f"{'Beyond that, something' if said else 'Something'} remains: {left.shape}.")

@@ -34,6 +34,15 @@ QUANTITY = {
 """How people call a quantity, and its unit."""
 
 
+def plain(name: str) -> str:
+    """A quantity in words."""
+    if name in QUANTITY:
+        return QUANTITY[name][0]
+    if name.startswith("on_time_"):
+        return f"time since {name[8:-2].replace('_', ' ')} was switched on"
+    return f"{name[3:]} being on" if name.startswith("on_") else name
+
+
 def state(name: str, value: float | str) -> str:
     """``speed 0.47 m/s``: a quantity and its value."""
     word, unit = QUANTITY.get(name, (name, ""))

@@ -12,6 +12,7 @@ from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import innovations, project, random_effects
 from missionsim.identify.model import Model, log_likelihood
+from missionsim.identify.proposed import QUANTITY, plain
 from missionsim.identify.settings import (
     CURVE_LEVEL,
     CURVE_NATS,
@@ -182,12 +183,14 @@ def dependences(model: Model) -> list[Structure]:
 
 def _words(name: str, times: str, knots: Array, values: Array) -> str:
     """What is said of a curve with values at the knots beyond the first, which is its reference."""
-    what = f"residual varies with {name}" + (f" (times {times})" if times else "")
+    what = f"residual varies with {plain(name)}" + (f" (times {plain(times)})" if times else "")
     if len(values) != len(knots) - 1 or known(name).text:
         return what
     curve = np.append(0.0, values)
     top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
-    return f"{what}: lowest at {rounded(knots[bottom])}, highest at {rounded(knots[top])}"
+    unit = QUANTITY.get(name, ("", ""))[1]
+    lowest, highest = (f"{rounded(knots[i])} {unit}".strip() for i in (bottom, top))
+    return f"{what}: lowest at {lowest}, highest at {highest}"
 
 
 def periodic(model: Model) -> Structure | None:
@@ -298,7 +301,7 @@ def wrong_form(model: Model, column: int) -> Structure | None:
         sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
         if own < GROSS * free or (own < ratio * free and sure):
             size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-            words = f"{covariate}: form not right ({_words(covariate, times, knots, values)})"
+            words = f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values)})"
             return Structure(covariate, p_value, beyond, size, words)
     return None
 

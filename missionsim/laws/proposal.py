@@ -14,7 +14,7 @@ from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.identification import Identification
 from missionsim.identify.noise import mean_variance
-from missionsim.identify.proposed import CLOCKS, FAR_BETTER, QUANTITY, Curve, Law, Proposal, state
+from missionsim.identify.proposed import CLOCKS, FAR_BETTER, Curve, Law, Proposal, plain, state
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import evaluate, make_grammar
@@ -346,12 +346,3 @@ def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str
         f"no drive near the range of these logs tells the forms apart: they differ by {watts(best_w, 2)} at most ("
         f"{at}, {beside}), and {MINUTES[-1]} min each there and at half of it resolve {watts(shown_w, 2)}; take any"
     )
-
-
-def plain(name: str) -> str:
-    """A quantity in words."""
-    if name in QUANTITY:
-        return QUANTITY[name][0]
-    if name.startswith("on_time_"):
-        return f"time since {name[8:-2].replace('_', ' ')} was switched on"
-    return f"{name[3:]} being on" if name.startswith("on_") else name

@@ -103,7 +103,7 @@ def test_a_diagnosis_does_not_call_it_nothing() -> None:
     assert "accel_m_s2" in found.unexplained.depends_on
     # inertia that gives back comes nearest, and is refused: braking saves the same at any speed
     assert "acceleration" not in [effect.effect for effect in found.effects]
-    told = "accel_m_s2: form not right"
+    told = "acceleration: form not right"
     assert told in words.headline(found)
     assert told in dict(words.report(found))["REMAINS"]
     assert told in found.to_json()["unexplained"]["shape"]

@@ -176,7 +176,7 @@ def test_nothing_and_something_unknown() -> None:
     unknown = replace(
         nothing, verdict="unexplained_structure", unexplained=Unexplained(0.3, ("yaw_rate_rad_s",), "form not right")
     )
-    assert "the library does not contain; it varies with yaw_rate_rad_s (form not right)" in words.headline(unknown)
+    assert "the library does not contain; it varies with turn rate (form not right)" in words.headline(unknown)
 
 
 def test_few_runs_say_that_nothing_was_held_out() -> None:

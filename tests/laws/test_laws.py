@@ -19,7 +19,7 @@ from missionsim.diagnose.proposed import formula_of, with_candidate
 from missionsim.effects.base_terms import expression_term
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
-from missionsim.identify.proposed import Curve, Law, Proposal
+from missionsim.identify.proposed import Curve, Law, Proposal, plain
 from missionsim.inputs.edit import robot_text
 from missionsim.labels import Labels
 from missionsim.laws.factors import make_grammar
@@ -232,7 +232,9 @@ def test_a_law_whose_quantity_is_open_is_not_added(
     left = SimpleNamespace(shape="it wanders")
     last = SimpleNamespace(effects=(), proposed_laws=(told,), verdict="unexplained_structure", battery="main",
                            unexplained=left, next_experiments=(), heldout=None)  # fmt: skip
-    assert (f"{first[-1]} or {other[-1]}, so it is not added. Next: 3 min at" in _why(last, ())) is undecided
+    assert (
+        f"{plain(first[-1])} or {plain(other[-1])}, so it is not added. Next: 3 min at" in _why(last, ())
+    ) is undecided
     assert ("add-effect" in sentences.next_step(last, sentences.Asked("robot.yaml", ["train"]))) is not undecided
 
 
