@@ -17,7 +17,7 @@ from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
 
-from .logs import drive
+from .logs import drawing, drive
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +175,32 @@ def test_a_grade_is_fitted_at_the_size_that_is_found() -> None:
     seen = examine(Subject.of(load_robot("pioneer3dx")), Split((hilly(0), hilly(1)), (), ""), "robot", Settings())
     assert [e.effect for e in seen.found.effects] == ["grade"]
     assert seen.found.effects[0].parameters["k"].value == pytest.approx(1.6, abs=0.02)
+
+
+def effects_of(model: PowerModel, *runs: LogTable) -> set[str]:
+    return {candidate.effect for candidate in features(model, *runs).candidates}
+
+
+@pytest.mark.parametrize(("spread", "apart"), [(0.027, False), (0.033, True)])
+def test_a_steady_voltage_does_not_tell_two_losses_apart(model: PowerModel, spread: float, apart: bool) -> None:
+    runs = [
+        drive(seed, seconds=60.0, voltage_robot_v=12.0 + 12.0 * spread * np.tile([-1.0, 1.0], 30)) for seed in (1, 2)
+    ]
+    assert ("battery_resistance" in effects_of(model, *runs)) is apart
+
+
+@pytest.mark.parametrize(("r", "load"), [(0.998, True), (0.9995, False)])
+def test_the_measured_power_once_more_is_no_load(model: PowerModel, r: float, load: bool) -> None:
+    rng, runs = np.random.default_rng(1), []
+    for seed in (1, 2):
+        log = drive(seed, seconds=600.0)
+        power = log.power_w["robot"]
+        other = np.sqrt(r**-2.0 - 1.0) * power.std() * rng.normal(size=len(power))
+        runs.append(drawing(log, power, power_base_w=power + other))
+    assert ("logged_power:power_base_w" in effects_of(model, *runs)) is load
+
+
+@pytest.mark.parametrize(("floors", "tested"), [(40, True), (41, False)])
+def test_more_than_forty_floors_are_no_floors(model: PowerModel, floors: int, tested: bool) -> None:
+    runs = [drive(seed, seconds=120.0, surface=[f"f{i % floors:02d}" for i in range(120)]) for seed in (1, 2)]
+    assert ("surface_rolling_resistance" in effects_of(model, *runs)) is tested

@@ -9,6 +9,9 @@ import pytest
 
 from missionsim.logs import LogTable
 from missionsim.runs import admit
+from missionsim.runs.covariates import repeated
+from missionsim.runs.drive import filled
+from missionsim.runs.run import larger, mended
 
 
 def run(name: str, watts: np.ndarray | None = None, **columns: np.ndarray) -> LogTable:
@@ -155,3 +158,30 @@ def test_speeds_that_are_another_runs_to_the_last_digit(own: int, shared: int, a
     speeds = [np.concatenate([one, one[:again]]) for one in (first, second[: len(second) - (shared == 1000)])]
     runs = [run(f"{i}", rng.random(len(speed)), speed_m_s=speed) for i, speed in enumerate(speeds)]
     assert bool(admit.copies(runs)) is copy
+
+
+@pytest.mark.parametrize(("top", "size"), [(1.45, 0), (1.55, 1), (0.7, 0), (0.63, -1)])
+def test_a_column_that_is_larger_than_in_any_other_run(top: float, size: int) -> None:
+    runs = [run(f"{i}", speed_m_s=np.full(50, speed)) for i, speed in enumerate((1.0, 1.0, top))]
+    assert larger("speed_m_s", runs[2], runs[:2]) == size
+
+
+@pytest.mark.parametrize(("part", "told"), [(0.14, False), (0.16, True), (0.94, True), (0.96, False)])
+def test_a_column_that_stands_still(part: float, told: bool) -> None:
+    speed = np.random.default_rng(1).random(1000)
+    speed[20 : 20 + round(1000 * part)] = 0.5
+    words = [words for words, _ in mended(run("a", speed_m_s=speed), [])]
+    assert any(one.startswith("speed_m_s stands at 0.5 from 20.5 to ") for one in words) is told
+
+
+@pytest.mark.parametrize(("missing", "kept"), [(19, True), (21, False)])
+def test_missing_values_are_filled_where_they_are_few(missing: int, kept: bool) -> None:
+    speed = np.where(np.arange(100) < missing, np.nan, 1.0)
+    assert ("speed_m_s" in filled(run("a", speed_m_s=speed), ["robot"])) is kept
+
+
+@pytest.mark.parametrize(("r", "other"), [(0.998, {}), (0.9995, {"reading": "speed_m_s"})])
+def test_a_column_that_is_another_one_in_other_units(r: float, other: dict[str, str]) -> None:
+    wave = np.arange(400) * 2.0 * np.pi / 400
+    speed, reading = 2.0 + np.cos(wave), r * np.cos(wave) + np.sqrt(1.0 - r**2) * np.sin(wave)
+    assert repeated([{"time_s": np.arange(400.0), "speed_m_s": speed, "reading": reading}]) == other
