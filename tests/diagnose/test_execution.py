@@ -14,6 +14,7 @@ from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
+from missionsim.runs.motion import still_of
 
 MISSION = """kind: mission
 name: there_and_back
@@ -65,6 +66,7 @@ def found(plan: Timeline, logs: list[LogTable]) -> dict[str, ExecutionEffect]:
 
 
 def test_driven_as_planned_names_nothing(plan: Timeline) -> None:
+    assert still_of(plan)[0] == pytest.approx(0.03)  # a tenth of the slowest speed: a noisy log stands still below
     assert found(plan, [log(seed) for seed in range(6)]) == {}
 
 

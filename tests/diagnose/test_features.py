@@ -189,7 +189,7 @@ def test_a_steady_voltage_does_not_tell_two_losses_apart(model: PowerModel, spre
     assert ("battery_resistance" in effects_of(model, *runs)) is apart
 
 
-@pytest.mark.parametrize(("r", "load"), [(0.998, True), (0.9995, False)])
+@pytest.mark.parametrize(("r", "load"), [(0.9985, True), (0.9993, False)])
 def test_the_measured_power_once_more_is_no_load(model: PowerModel, r: float, load: bool) -> None:
     rng, runs = np.random.default_rng(1), []
     for seed in (1, 2):
@@ -204,3 +204,14 @@ def test_the_measured_power_once_more_is_no_load(model: PowerModel, r: float, lo
 def test_more_than_forty_floors_are_no_floors(model: PowerModel, floors: int, tested: bool) -> None:
     runs = [drive(seed, seconds=120.0, surface=[f"f{i % floors:02d}" for i in range(120)]) for seed in (1, 2)]
     assert ("surface_rolling_resistance" in effects_of(model, *runs)) is tested
+
+
+@pytest.mark.parametrize(("charged", "asked"), [(4, False), (6, True)])
+def test_what_a_descent_gives_back_is_asked_where_the_battery_is_charged(
+    model: PowerModel, charged: int, asked: bool
+) -> None:
+    """In so many of 1000 rows."""
+    log = drive(1, seconds=1000.0, slope_rad=np.tile([-0.1, 0.1], 500))
+    runs = [drawing(log, np.where(np.arange(1000) < charged, -1.0, log.power_w["robot"]))]
+    (grade,) = (one for one in features(model, *runs).candidates if one.effect == "grade")
+    assert (len(grade.columns) > 1) is asked

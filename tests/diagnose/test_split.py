@@ -31,6 +31,7 @@ def test_last_quarter_is_the_default() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_runs_hold_none_out_and_say_so(count: int) -> None:
+    assert len(choose_split(RUNS[:4]).heldout) == 1
     split = choose_split(RUNS[:count])
     assert split.heldout == ()
     assert len(split.train) == count
