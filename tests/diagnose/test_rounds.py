@@ -12,6 +12,7 @@ import pytest
 from missionsim.diagnose import diagnosis
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
+from missionsim.effects.model import ModelParameter
 from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
@@ -176,3 +177,24 @@ def test_an_effect_keeps_its_share_where_it_gives_nothing_back() -> None:
     fitted = FinalFit(None, {"grade.k": Value(0.49, 0.01), "grade.regeneration": Value(0.0, 0.1)})  # type: ignore[arg-type]
     (told,) = Models.told(Fitted({}), [back], fitted)  # type: ignore[arg-type]
     assert told.energy_share == pytest.approx(0.5 * GRADE.energy_share)
+
+
+@pytest.mark.parametrize(("falls_to", "doubted"), [(-1900.0, True), (-1100.0, False), (20.0, False)])
+def test_beside_what_a_parameter_of_motion_falls_below_nothing_is_told_once(falls_to: float, doubted: bool) -> None:
+    """Friction bends a base that falls with the speed, from -980 without it, known to 270; the floor does not."""
+    c1 = ModelParameter(-390.0, "N", path="motion.parameters.k1")
+    rest = ModelParameter(-9.0, "W", path="motion.parameters.standing")
+    friction, floor = named("viscous_friction", "surface_rolling_resistance")
+
+    def fit(effects: tuple[Finding, ...]) -> SimpleNamespace:
+        k1 = falls_to if friction.effect in {one.effect for one in effects} else -980.0
+        return SimpleNamespace(values={"k1": Value(k1, 270.0), "standing": Value(-9.0 * k1, 1.0)})
+
+    models = SimpleNamespace(features=SimpleNamespace(parameters={"k1": c1, "standing": rest}), fit=fit)
+    told = (replace(friction, remark="28 times"), floor)
+    for _ in range(2):  # improve asks again once more is in
+        told = Models.leaning(models, told, fit(told))
+    assert told[0].remark.count("beside it k1 of the base falls below nothing") == int(doubted)
+    assert told[0].remark.startswith("28 times")
+    assert "standing" not in told[0].remark
+    assert told[1].remark == ""

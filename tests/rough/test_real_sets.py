@@ -130,6 +130,3 @@ def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called
     assert "k1" not in told["surface_rolling_resistance"]
     assert "that may be viscous_friction" in headline(found)
     assert "that it is viscous_friction is not" in sure(found)
-    done = improve(made.text, split, "robot", Settings(), lambda finding, diagnosis: finding.effect != "acceleration")
-    assert done.stopped.count("viscous_friction: beside it k1 of the base falls below nothing") == 1
-    assert done.stopped.count("beside it") == 1
