@@ -1,0 +1,79 @@
+"""What a fit tells, leaves out or allows for, in cases just on both sides of each number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from missionsim.errors import InputError
+from missionsim.fit import calibrate, parameters
+from missionsim.fit import prepare as prepared
+from missionsim.fit.calibrate import NewRobot, calibrate_new
+from missionsim.fit.parameters import FittedParameter
+from missionsim.fit.provenance import sd_on_other_logs
+from missionsim.inputs.loading import load_robot
+from missionsim.inputs.power import build_power_model
+from missionsim.logs import LogTable
+from tests.diagnose.logs import drawing, drive
+
+
+def test_a_fit_knows_less_of_other_days() -> None:
+    assert sd_on_other_logs(0.04, "fitted to 3 runs, data 0123abcd") == pytest.approx(0.05)
+    assert sd_on_other_logs(0.04, "data sheet") == 0.04
+
+
+@pytest.mark.parametrize(("part", "told"), [(0.009, False), (0.011, True)])
+def test_a_faint_load_may_have_been_on_at_any_time(monkeypatch: pytest.MonkeyPatch, part: float, told: bool) -> None:
+    log = drive(1, seconds=60.0)
+    load_w = part * float(np.mean(log.power_w["robot"]))
+    monkeypatch.setattr(prepared, "_switched_w", lambda *_: {"heater": load_w})
+    ready = prepared.prepare(build_power_model(load_robot("pioneer3dx")), [log], "robot")
+    assert any("nothing tells when heater" in remark for remark in ready.remarks) is told
+
+
+@pytest.mark.parametrize(("part", "fitted"), [(0.45, False), (0.55, True)])
+def test_a_model_has_a_value_in_half_of_the_rows(part: float, fitted: bool) -> None:
+    x = np.where(np.arange(100) < 100 * part, 1.0, np.nan)
+    run, own = SimpleNamespace(dt_s=np.ones(100)), {"c": SimpleNamespace(value=1.0)}
+    ready = SimpleNamespace(gradients=[{"c": x}], base_w=[x], runs=[run], parameters=own, battery="robot")
+    ready.measured_w = lambda: np.full(100, 3.0)
+    model = SimpleNamespace(with_values=lambda values: values)
+    if fitted:
+        assert parameters._least_squares_start(model, ready) == {"robot/c": pytest.approx(3.0)}
+    else:
+        with pytest.raises(InputError, match="gives no number in 55%"):
+            parameters._least_squares_start(model, ready)
+
+
+@dataclass(frozen=True)
+class Fit:
+    parameters: Mapping[str, FittedParameter]
+    model: None = None
+
+
+def test_power_at_rest_is_that_of_rows_well_after_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stops of 13 s in rows of a second: high for three, then by 1 or 3 W off for ten, which count as one value."""
+    second = np.arange(14, 20 * 26) % 26
+    off = np.repeat(np.tile([1.0, 3.0], 10), 26)[14:]
+    power = np.where(second < 13, 50.0, np.where(second < 16, 20.0, off))
+    columns = {"speed_m_s": np.where(second < 13, 0.5, 0.0)}
+    log = LogTable("a", columns, np.ones(len(power)), {"robot": power}, {"robot": None}, {"robot": "power"})
+    nothing = SimpleNamespace(row_w=lambda _: np.zeros(len(power)))
+    monkeypatch.setattr(calibrate, "drive", lambda *_: nothing)
+    standing = FittedParameter("standing", "W", 7.0, 9.0, -11.0, 25.0, 7.0, True)
+    rest = calibrate._with_rest(Fit({"standing": standing}), [log], "robot").parameters["standing"]
+    assert rest.value == pytest.approx(9.0, abs=0.05)
+    assert rest.sd == pytest.approx(1.0 / np.sqrt(19.0), rel=0.05)
+
+
+@pytest.mark.parametrize(("rest_s", "standing"), [(4, False), (6, True)])
+def test_power_at_rest_needs_some_seconds_of_it(rest_s: int, standing: bool) -> None:
+    log = drive(1, seconds=120.0)
+    speed = np.where(np.arange(120) < rest_s, 0.0, np.maximum(log.number("speed_m_s"), 0.1))
+    moving = replace(log, columns={**log.columns, "speed_m_s": speed, "yaw_rate_rad_s": np.zeros(120)})
+    made = calibrate_new(NewRobot("own", "c3*v + c4"), [drawing(moving, 5.0 + 10.0 * speed)])
+    assert ("standing" in made.fit.parameters) is standing
