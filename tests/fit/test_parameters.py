@@ -104,12 +104,13 @@ def test_noise_that_grows_with_power_does_not_break_a_poor_formula() -> None:
     assert fit.parameters["standing"].value == pytest.approx(float(np.mean(power[speed == 0.0])), abs=3.0)
 
 
-def stop_and_go(seed: int, row_s: float) -> LogTable:
+def stop_and_go(seed: int, row_s: float, longer: float = 1.0) -> LogTable:
     """Means over rows of a robot that drives for some seconds and stands for some, written here on a clock of 10 ms."""
     rng = np.random.default_rng(seed)
     parts: list[np.ndarray] = []
     while sum(map(len, parts)) < 30_000:
-        parts += [np.zeros(int(rng.uniform(300, 600))), np.full(int(rng.uniform(500, 900)), rng.uniform(0.2, 0.6))]
+        driven = int(longer * rng.uniform(500, 900))
+        parts += [np.zeros(int(rng.uniform(300, 600))), np.full(driven, rng.uniform(0.2, 0.6))]
     speed = np.convolve(np.concatenate(parts)[:30_000], np.full(80, 1.0 / 80), mode="same")
     power = 5.0 + (8.0 + 6.0 * speed**2) * (speed > 1e-6)
     every = round(100 * row_s)
@@ -132,6 +133,15 @@ def test_rows_too_slow_for_a_robot_that_often_stops_are_told() -> None:
     assert any("log at 5 Hz or more" in remark for remark in slow.remarks)
     assert fast.fit.parameters["c4"].value == pytest.approx(13.0, rel=0.02)
     assert not any("log at 5 Hz or more" in remark for remark in fast.remarks)
+
+
+@pytest.mark.parametrize(("row_s", "longer", "told"), [(0.25, 1.0, False), (0.3, 1.0, True), (0.3, 2.0, False)])
+def test_rows_of_a_third_of_a_second_are_slow_where_one_in_twenty_is_a_start_or_a_stop(
+    row_s: float, longer: float, told: bool
+) -> None:
+    logs = [stop_and_go(seed, row_s, longer) for seed in range(2)]
+    made = calibrate_new(NewRobot("rover", "c2*v**2 + c4"), logs)
+    assert any("log at 5 Hz or more" in remark for remark in made.remarks) is told
 
 
 def test_a_signed_turn_rate_in_a_formula_is_told() -> None:
