@@ -156,6 +156,7 @@ def test_a_law_keeps_what_its_prediction_needs(far: bool) -> None:
     # without them the error is twice, 0.5 % and 1.8 % larger; without the last two 2.3 %, so the third stays
     each = [[2.0] * 8, [1.005] * 8, [1.018] * 8]
     assert _plainest(each, far) == {0, 2}
+    assert _plainest([[2.0] * 8, [1.018] * 8], far) == {0}
 
 
 def test_what_helps_in_some_runs_and_harms_in_others_rides_along() -> None:

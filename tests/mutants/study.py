@@ -19,12 +19,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+RULES = "tests/identify/test_thresholds.py tests/identify/test_rules.py"
 TESTS = {
     "physics": "tests/effects tests/engine/test_closed_form.py tests/engine/test_closed_form_others.py",
     "plan": "tests/plan tests/engine/test_closed_form.py tests/engine/test_physical_sense.py",
     "meter": "tests/engine/test_batteries.py tests/engine/test_cut_short.py tests/engine/test_components.py",
-    "rules": "tests/identify/test_rules.py tests/identify/test_numerics.py tests/identify/test_identify.py",
-    "verdict": "tests/identify/test_rules.py tests/diagnose/test_factor.py tests/diagnose/test_leftover.py",
+    "rules": f"{RULES} tests/identify/test_numerics.py tests/identify/test_identify.py",
+    "verdict": f"{RULES} tests/diagnose/test_factor.py tests/diagnose/test_leftover.py",
     "search": "tests/hidden_effects/test_quick.py",
     "laws": "tests/laws",
 }
