@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from missionsim.identify.align import Clock
 from missionsim.identify.gram import Gram
 from missionsim.identify.proposed import Curve, Law
 from missionsim.labels import Labels
-from missionsim.laws import factors, gates, levels, proposal, search
+from missionsim.laws import adapter, factors, gates, levels, proposal, search
 from missionsim.laws.gates import Gates
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
@@ -206,3 +207,50 @@ def test_six_columns_beyond_the_glossary_enter() -> None:
     run = {"time_s": np.arange(70.0), **{f"reading_{i}": rng.random(70) for i in range(8)}}
     assert {f.variable for f in factors.make_grammar([run], set()).factors} >= {f"reading_{i}" for i in range(6)}
     assert "reading_6" not in {f.variable for f in factors.make_grammar([run], set()).factors}
+
+
+@pytest.mark.parametrize(("kind", "kept", "beside"), [("", 6, 0), ("bend", 1, 8)])
+def test_six_forms_are_told_and_eight_lie_in_the_band(kind: str, kept: int, beside: int) -> None:
+    grammar = Grammar(tuple(Factor("a" if kind else f"{i}", f"{i}", "", kind=kind) for i in range(12)), ())
+    found = proposal._set([Scored((i,), 50.0, 0.1, 45.0) for i in range(12)], grammar)
+    assert tuple(map(len, found)) == (kept, beside)
+
+
+@pytest.mark.parametrize(("place", "found"), [(2, True), (3, False)])
+def test_three_forms_that_differ_are_fitted(place: int, found: bool) -> None:
+    """By their order in the first pass; one of them predicts left-out runs far better."""
+    screened = [Scored((i,), 50.0, 0.1, 45.0) for i in range(6)]
+    ground = SimpleNamespace(usual=lambda: None, plain=lambda _: None, model=SimpleNamespace(noise=None))
+    own = SimpleNamespace(grammar=PLAIN, ground=ground, screen=lambda *_: screened, sized=list, _promising=list)
+    own._apart, own._plainest = lambda forms: forms, lambda top: top
+    own.near = lambda top, _: [one for one in screened if one.form == top.form]
+    own.fit = lambda form, **_: SimpleNamespace(
+        form=form, errors=SimpleNamespace(with_law=0.5 if form == (place,) else 1.0)
+    )
+    assert (Search.best(own).best.form == (place,)) is found
+
+
+@dataclass(frozen=True)
+class Late:
+    """A model at a clock, at which the law gains nats where the lag is 0.3 s."""
+
+    source: Any
+    clock: Clock
+    nats: float
+    design: None = None
+    chosen: tuple[int, ...] = ()
+    noise: None = None
+    squares: None = None
+
+
+@pytest.mark.parametrize(("nats", "moves"), [(14.0, False), (16.0, True)])
+def test_a_law_moves_the_clock_where_that_is_far_likelier(
+    monkeypatch: pytest.MonkeyPatch, nats: float, moves: bool
+) -> None:
+    monkeypatch.setattr(adapter, "log_likelihood", lambda model: model.nats * (model.clock.lag_s == 0.3))
+    monkeypatch.setattr(adapter, "_refitted", lambda model, *_: model)
+    monkeypatch.setattr(adapter.Ground, "extended", lambda *_: None)
+    source = SimpleNamespace(aligned=True, design=lambda *_: None, averaged=lambda *_: [None])
+    model = Late(source, Clock(0.0, 0.0, (0.0,)), nats)
+    ground = adapter.Ground(model, (), ()).on_time([], model)
+    assert ground.model.clock.lag_s == (0.3 if moves else 0.0)
