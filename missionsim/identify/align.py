@@ -23,6 +23,8 @@ from missionsim.physics import Array
 
 CONSTANT = 1e-16
 """What is left of a column's square without its mean, when it is rounding only: scaled up it would be pure chance."""
+STILL = 1e-9
+"""Relative change of a column from which on it changes at all."""
 Place = tuple[float, float]
 """Delay and lag [s]."""
 LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899450829, 0.0103892565))
@@ -345,6 +347,9 @@ def find_clock(runs: Sequence[RunColumns], step_s: float) -> Place:
 
     Row 0 of each run's columns is the base model; keeping every candidate in leaves a real inertia effect alone.
     """
+    rows = [row for run in runs for row in run.values]
+    if all(float(np.ptp(row)) <= STILL * float(np.max(np.abs(row), initial=0.0)) for row in rows):
+        return 0.0, 0.0  # what never changes is neither late nor early
     reach = max(1.0, 1.0 * step_s)
     if len(runs) > CLOCK_RUNS:
         runs = runs[:: -(-len(runs) // 4)]  # a start is all that is wanted; the model refines it with every run

@@ -167,6 +167,10 @@ def test_logs_of_a_robot_that_stands_still_say_nothing_of_driving() -> None:
     still = [replace(log, columns=log.columns | dict.fromkeys(motion, np.zeros(log.rows))) for log in LOGS]
     with pytest.raises(InputError, match="stands still in every row"):
         calibrate_new(NewRobot("rover", "c3*v + c4"), still)
+    off = {name: np.zeros(still[0].rows) for name in still[0].columns if name.startswith("on_")}
+    alone = [replace(log, columns=log.columns | off) for log in still]
+    nothing = calibrate_new(NewRobot("rover", "0"), alone).fit  # whose clock nothing shows
+    assert (nothing.delay_s, nothing.lag_s) == (0.0, 0.0)
     made = calibrate_new(NewRobot("rover", "0"), still)
     assert set(made.fit.parameters) == {"standing", "kinect.power"}
     rest = made.fit.parameters["standing"].value
