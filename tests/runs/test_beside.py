@@ -25,13 +25,16 @@ def others(measured: Sequence[np.ndarray], scatter: Sequence[float], residual: f
     return own
 
 
-@pytest.mark.parametrize(("scatter", "looked_at"), [(1.35, False), (1.45, True)])
+@pytest.mark.parametrize(
+    ("rest", "scatter", "looked_at"), [(5, 1.35, False), (5, 1.45, True), (4, 9.0, True), (3, 9.0, False)]
+)
 def test_a_run_rougher_than_the_others_is_looked_at(
-    monkeypatch: pytest.MonkeyPatch, scatter: float, looked_at: bool
+    monkeypatch: pytest.MonkeyPatch, rest: int, scatter: float, looked_at: bool
 ) -> None:
     monkeypatch.setattr(beside, "_fault", lambda *_: "fault")
     monkeypatch.setattr(beside, "_stuck", lambda *_: {})
-    assert ("5" in beside.runs_beside(others([WAVE] * 6, [1.0] * 5 + [scatter]), None)) is looked_at
+    own = others([WAVE] * (rest + 1), [1.0] * rest + [scatter])
+    assert (f"{rest}" in beside.runs_beside(own, None)) is looked_at
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,8 @@ def test_a_run_that_is_where_no_other_is(median: float, elsewhere: list[str]) ->
 @pytest.mark.parametrize(
     ("down", "noise_w", "lasts_s", "told"),
     [
+        ((1, 1), 1.0, 1, False),
+        ((1, 1, 1), 1.0, 1, True),
         ((1, 1, 1, 1, 0), 1.0, 1, True),
         ((1, 1, 1, 0, 0), 1.0, 1, False),
         ((1, 1, 1, 1, 1), 4.5, 1, True),
@@ -124,13 +126,26 @@ def test_a_run_that_is_where_no_other_is(median: float, elsewhere: list[str]) ->
 )
 def test_a_slope_with_its_sign_turned(down: tuple[int, ...], noise_w: float, lasts_s: int, told: bool) -> None:
     """Runs in which going down costs 20 N on slopes of 0.1 rad at 0.5 m/s; in the others going up costs 4 N."""
+    assert bool(admit._downwards(on_slopes(down, noise_w, lasts_s), "robot")) is told
+
+
+@pytest.mark.parametrize(("slowest", "told"), [(0.03, False), (0.055, True)])
+def test_a_speed_that_is_none_says_nothing_of_a_slope(slowest: float, told: bool) -> None:
+    """Up to 1.5 times as fast."""
+    runs = on_slopes((1, 1, 1, 1), 0.1, 1, (slowest, 1.5 * slowest))
+    assert bool(admit._downwards(runs, "robot")) is told
+
+
+def on_slopes(
+    down: tuple[int, ...], noise_w: float, lasts_s: int, speeds: tuple[float, float] = (0.3, 0.7)
+) -> list[LogTable]:
     rng, runs = np.random.default_rng(1), []
     for i, one in enumerate(down):
-        speed, count = rng.uniform(0.3, 0.7, 400), 400 // lasts_s
+        speed, count = rng.uniform(*speeds, 400), 400 // lasts_s
         slope, noise = (np.repeat(x, lasts_s) for x in (0.1 * rng.choice([-1.0, 1.0], count), rng.normal(size=count)))
         watts = 20.0 - (20.0 if one else -4.0) * speed * slope + noise_w * noise
         runs.append(run(f"{i}", watts, speed_m_s=speed, slope_rad=slope))
-    assert bool(admit._downwards(runs, "robot")) is told
+    return runs
 
 
 @pytest.mark.parametrize(("noise", "copy"), [(0.0026, True), (0.0034, False)])
