@@ -293,8 +293,8 @@ def _components(logs: Sequence[Run], remarks: list[str]) -> dict[str, int]:
 def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
     """Power at rest from the rows at rest alone, where they say more of it than all rows together.
 
-    Noise of a driving robot can be far larger than everything that it draws at rest. Rows just after a stop are left
-    out, because meters lag; blocks of `REST_BLOCK_S` count as one observation.
+    Noise of a driving robot can be far larger than all that it draws at rest. Rows just after a stop are left out, for
+    meters lag; blocks of `REST_BLOCK_S` count as one observation.
     """
     blocks: list[float] = []
     for log in logs:
@@ -308,14 +308,14 @@ def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
             continue
         model = drive(fit.model, log, battery).row_w(battery)
         left = (log.power_w[battery] - model)[rows]
-        number = np.floor(np.cumsum(seconds[rows]) / REST_BLOCK_S).astype(int)
+        stops = np.cumsum(np.diff(still, prepend=False))  # a block never spans two of them
+        blocks_of = np.column_stack([stops, np.floor((clock - 0.5 * seconds - SETTLING_S) / REST_BLOCK_S)])
+        number = np.unique(blocks_of[rows], axis=0, return_inverse=True)[1]
         weight = np.bincount(number, seconds[rows])
         mean = np.bincount(number, left * seconds[rows]) / np.maximum(weight, 1e-9)
         blocks += mean[weight > 0.0].tolist()
     old = fit.parameters["standing"]
-    if len(blocks) < 3:
-        return fit
-    sd = float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
+    sd = float(np.std(blocks, ddof=1) / np.sqrt(len(blocks))) if len(blocks) > 2 else np.inf
     if sd >= old.sd:
         return fit
     value = old.value + float(np.mean(blocks))
