@@ -27,6 +27,7 @@ from missionsim.identify.settings import (
     LABEL_LEVEL,
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
+    LEAST_PASS_THROUGH,
     LOUDER,
     NESTED,
     OFTEN,
@@ -38,6 +39,7 @@ from missionsim.identify.settings import (
     STRICT_LEVEL,
     SWALLOWED,
     UNCLEAR,
+    USUAL_PASS_THROUGH,
     WORSE_ENERGY,
     WORSE_ENERGY_LEVEL,
     Settings,
@@ -256,6 +258,15 @@ class _Search:
         """Effects among them that pass on watts of another meter."""
         return {n for n in map(self.effect_of, columns) if self.candidates[n].effect.startswith(LOGGED)}
 
+    def _surely_drawn(self, trial: Trial) -> bool:
+        """Whether an effect is watts of another meter that come as converters pass them on."""
+        if not self._logged(trial.columns):
+            return False
+        unit = self.layout.unit(trial.columns[0])
+        factor, reach = float(trial.shares[0]) * unit, 2.0 * float(np.sqrt(trial.covariance[0, 0])) * unit
+        least, most = USUAL_PASS_THROUGH
+        return factor + reach > least and factor - reach < most
+
     def _louder(self, best: Trial, chosen: Sequence[int]) -> bool:
         """Whether an effect explains so much more than the logged watts in a set that it is no imitation of them."""
         logged = self._logged(chosen)
@@ -335,7 +346,7 @@ class _Search:
         }
         if logged:
             # far from a watt for each watt logged it is no loss on the way, but something that goes along with it
-            passed["practical"] &= bool(0.0 < shares[0] * layout.unit(own[0]) < LARGEST_PASS_THROUGH)
+            passed["practical"] &= bool(LEAST_PASS_THROUGH < shares[0] * layout.unit(own[0]) < LARGEST_PASS_THROUGH)
         if self.candidates[number].levels and [name for name, holds in passed.items() if not holds] == ["robust"]:
             # a Wald test of several levels of a few runs each has no power, and a label asks one question of its own
             levels = [k for k in range(len(layout.columns)) if self.effect_of(k) == number]
@@ -350,10 +361,9 @@ class _Search:
         return self.layout.parameters.index(twin) if twin in self.layout.parameters else None
 
     def rivals(self, trial: Trial, rest: Sequence[int], inside: set[int]) -> tuple[int, ...]:
-        """Effects that predict left-out runs as well in the place of one; forms that hold it as a special case are
-        none."""
-        if self._logged(trial.columns):
-            return ()
+        """Effects that predict left-out runs as well in the place of one, or, of watts that are logged and drawn at a
+        usual factor, clearly better; forms that hold it as a special case are none."""
+        most = -UNCLEAR if self._surely_drawn(trial) else UNCLEAR
         found: list[int] = []
         for number, options in self.options():
             # the twin of a base parameter was recalibrated already: it is no other explanation
@@ -365,7 +375,7 @@ class _Search:
                     continue
                 behind = other.left.square - trial.left.square
                 error = float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
-                if not behind.sum() < UNCLEAR * error:
+                if not behind.sum() < most * error:
                     continue
                 # whether it explains what the other in its place leaves over (Davidson and MacKinnon 1981)
                 again = self.tried(trial.candidate, trial.columns, [*rest, *option])

@@ -334,6 +334,11 @@ PASS_THROUGH_FALL = 0.002
 """The same for watts that are logged beside: they are drawn, only whether this battery feeds them is asked."""
 LARGEST_PASS_THROUGH = 2.0
 """Watts logged beside come with at most this factor: no converter loses more than half."""
+LEAST_PASS_THROUGH = 0.5
+"""And with at least this one: what is drawn is drawn whole, and a column that is noisy or late loses less than half."""
+USUAL_PASS_THROUGH = (0.8, 1.25)
+"""The factors of converters and of columns with errors of a fifth at most: what two standard errors keep away from them
+is no better known to be drawn than any other effect, and has rivals as these do."""
 FAMILY_LEVEL = 0.05
 """Family-wise level of the Wald test with errors clustered by run, where the error of left-out runs falls by
 `LEAST_FALL` as well: with 6 to 13 runs a tenth of it has no power."""

@@ -154,6 +154,41 @@ def test_what_left_out_runs_do_not_tell_apart_are_rivals_and_a_multiple_is_none(
     assert search.rivals(search.tried(0, [0], ()), (), {0}) == rivals
 
 
+@pytest.mark.parametrize(("factor", "holds"), [(0.45, False), (0.55, True), (1.9, True), (2.1, False)])
+def test_what_is_drawn_is_drawn_whole_with_a_converters_loss_at_most(factor: float, holds: bool) -> None:
+    search = of_an_arm(factor, 0.0)
+    assert search.measured(0, [0], []).passed["practical"] is holds
+
+
+@pytest.mark.parametrize(
+    ("factor", "blurred", "rivals"),
+    [
+        (1.0, 0.0, ()),  # a watt for a watt logged is known to be drawn, and turns go along with the arm
+        (1.2, 0.0, ()),
+        (1.35, 0.0, (1,)),  # more than a converter loses
+        (0.7, 0.0, (1,)),
+        (1.0, 0.3, (1,)),  # turns predict every run clearly better than the arm, which is needless beside them
+    ],
+)
+def test_watts_of_an_unusual_factor_have_rivals_as_other_effects_do(
+    factor: float, blurred: float, rivals: tuple[int, ...]
+) -> None:
+    """An arm that another battery feeds works in turns: its watts, 0.36 for each, were named in place of turning."""
+    search = of_an_arm(factor, blurred)
+    assert search.rivals(search.measured(0, [0], []), (), {0}) == rivals
+
+
+def of_an_arm(factor: float, blurred: float) -> _Search:
+    rng, folds = np.random.default_rng(3), []
+    for _ in range(8):
+        turns = rng.normal(size=600)
+        power = factor * turns + 0.5 * rng.normal(size=600)
+        arm = 10.0 * turns + 10.0 * blurred * rng.normal(size=600)
+        scrub = 10.0 * turns + 0.02 * rng.normal(size=600)
+        folds.append(np.vstack([power, arm, scrub, np.ones(600), 10.0 + power]))
+    return searched(folds, ["logged_power:arm_w", "turning_scrub"])
+
+
 def searched(folds: list[np.ndarray], names: list[str]) -> _Search:
     squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.zeros(0), np.arange(len(folds)))
     columns = [Column(i, 0, name, 1.0) for i, name in enumerate(names)]
