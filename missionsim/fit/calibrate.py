@@ -20,7 +20,6 @@ from missionsim.fit.parameters import FittedParameter, ModelFit, fit_parameters
 from missionsim.fit.provenance import (
     CALIBRATION,
     as_fitted,
-    data_tag,
     fitted_source,
     fitted_to,
     ranges_of,
@@ -251,8 +250,7 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
             if value.high > 0.0:
                 why = "these logs do not tell it from zero: leave its term out of --base, or vary it more"
             remarks.append(f"{name} came out negative ({told}, 95 % {low} to {high}): {why}")
-    source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}, data {data_tag(logs)}"
-    text = _text(robot, fit.parameters, components, standing, logs, source)
+    text = _text(robot, fit.parameters, components, standing, logs, fitted_source(logs))
     written = _load(text)
     remarks += short_of(text, robot.battery, logs)
     after = errors_of(written, [log for log in logs if robot.battery in log.power_w], robot.battery)

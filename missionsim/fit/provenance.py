@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter
     from missionsim.runs.run import Run
 
-MOST_HASHES = 40
+MOST_HASHES = 2_000
+"""Runs that a robot file names; a text in a file has at most 20,000 characters."""
 LENGTH = 8
 CALIBRATION = "calibration"
 """Key of a robot file's ``sources`` that says to which logs its parameters were fitted."""
@@ -41,11 +42,9 @@ def log_hash(log: Run) -> str:
 
 
 def data_tag(logs: Sequence[Run]) -> str:
-    """The first digits of the hashes of the logs, one a run; beyond `MOST_HASHES` runs one for all."""
-    hashes = sorted(log_hash(log) for log in logs)
-    if len(hashes) > MOST_HASHES:
-        return hashlib.sha256("".join(hashes).encode()).hexdigest()[:LENGTH]
-    return " ".join(digest[:LENGTH] for digest in hashes)
+    """The first digits of the hashes of the logs, one a run; beyond `MOST_HASHES` runs the lowest of them, of which any
+    larger part of the runs holds one."""
+    return " ".join(digest[:LENGTH] for digest in sorted(map(log_hash, logs))[:MOST_HASHES])
 
 
 def fitted_source(logs: Sequence[Run]) -> str:
@@ -73,10 +72,10 @@ def fitted_to(source: str, logs: Iterable[Run]) -> bool:
     if not match:
         return False
     known = set(match.group(1).split())
-    tables = list(logs)
-    return any(log_hash(log)[:LENGTH] in known for log in tables) or (
-        len(tables) > MOST_HASHES and data_tag(tables) in known
-    )
+    hashes = sorted(map(log_hash, logs))
+    # files of before have one hash for all runs where these were more than 40
+    of_all = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    return not known.isdisjoint(digest[:LENGTH] for digest in (*hashes, of_all))
 
 
 def sd_on_other_logs(sd: float, source: str) -> float:

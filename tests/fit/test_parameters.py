@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import pytest
 from missionsim.errors import InputError
 from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
 from missionsim.fit.parameters import fit_parameters
-from missionsim.fit.provenance import data_tag, fitted_to, log_hash
-from missionsim.inputs.edit import robot_text
+from missionsim.fit.provenance import data_tag, fitted_source, fitted_to, log_hash
+from missionsim.inputs.edit import Editing, robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
@@ -184,6 +185,21 @@ def test_hashes_tell_logs_apart(tmp_path: Path) -> None:
     assert fitted_to(f"fitted to 2 runs, data {data_tag([one, two])}", [two])
     assert not fitted_to("Table 2", [one])
     assert "fitted to" not in robot_text("pioneer3dx")
+
+
+def test_every_run_of_many_is_known_again() -> None:
+    many = [drawing(LOGS[0], LOGS[0].power_w["robot"] + 0.001 * i) for i in range(2500)]
+    for count in (54, 600):  # more than a line of the file holds
+        text = Editing(robot_text("pioneer3dx")).set_source("calibration", fitted_source(many[:count])).text
+        source = robot_from_text(text).sources["calibration"]
+        assert all(fitted_to(source, [log]) for log in many[:count])
+        assert not fitted_to(source, many[count : count + 40])
+    text = Editing(robot_text("pioneer3dx")).set_source("calibration", fitted_source(many)).text
+    source = robot_from_text(text).sources["calibration"]
+    assert all(fitted_to(source, many[i : i + 20]) for i in range(0, 2500, 20))
+    # as it was written before, for more than 40 runs
+    of_all = hashlib.sha256("".join(sorted(map(log_hash, many[:54]))).encode()).hexdigest()[:8]
+    assert fitted_to(f"fitted to 54 runs, data {of_all}", many[:54])
 
 
 @pytest.mark.parametrize(
