@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -70,6 +71,11 @@ def _called(call: str, needs: Sequence[str]) -> Power:
     """A power that is written as ``function(argument, …)`` of parameters and covariates."""
     name, inner = call.rstrip(")").split("(")
     function, arguments = _FUNCTIONS[name], [(a, a in needs, _ABSENT.get(a, 0.0)) for a in inner.split(", ")]
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError:
+        allowed = f"{name}{inspect.signature(function)}"
+        raise InputError.single(f"'{name}' takes other arguments", got=call, allowed=allowed) from None
 
     def power(cov: Covariates, p: Parameters) -> Any:
         return function(*[p[a] if a in p else cov[a] if needed else number(cov, a, k) for a, needed, k in arguments])

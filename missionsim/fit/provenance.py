@@ -59,7 +59,8 @@ def as_fitted(parameter: ModelParameter, value: float, sd: float) -> Json:
         "sd": sd / parameter.times,
         "status": "fitted",
         "source": CALIBRATION,
-        "note": f"{parameter.value / parameter.times:.6g} before",
+        # what stands beside it in the file may be in another unit
+        "note": f"{parameter.value / parameter.times:.6g} {parameter.unit} before".replace(" 1 ", " "),
     }
 
 

@@ -153,6 +153,11 @@ def for_folder(text: str, folder: str | os.PathLike[str]) -> str:
 def _updated(old: Any, new: Mapping[str, Any], parameter: Parameter | None) -> Any:
     """What stands at a number's place after an update."""
     former = old.get("value") if isinstance(old, dict) else old
+    if isinstance(old, dict) and old.get("unit") and "unit" not in new:
+        # plain numbers are in the unit beside them, which may hold for low and high that stay: a text brings its own
+        factor = units.si_factor(str(old["unit"])) or 1.0
+        new = {key: value / factor if key in _NUMBERS else value for key, value in new.items()}
+        former = parameter = None
     told = {key: _written(value, former, parameter) if key in _NUMBERS else value for key, value in new.items()}
     if not isinstance(old, dict):
         return told["value"] if set(told) == {"value"} else _node(told, flow=True)

@@ -165,7 +165,7 @@ class Parameter:
     source: str = ""
     """Both, and `note`: ``published``, ``fitted``, ``assumed``, ``measured`` or empty; where the number comes from."""
     unit: str = "1"
-    """SI unit; for parameters of effects and motion models the unit that the file names."""
+    """SI unit; of a number where any unit may stand, what the unit that the file names is in SI."""
     _: KW_ONLY
     note: str = ""
     path: str = ""

@@ -220,7 +220,10 @@ class QuantityOf:
         distribution = None
         if "distribution" in raw and len(issues) == before:
             with issues.at("distribution"):
-                distribution = self._distribution(raw["distribution"], given["value"], folder)
+                distribution = self._distribution(raw["distribution"], given["value"], folder, texts["unit"])
+        if unit and not self.dimension and len(issues) == before:
+            with issues.at("unit"):
+                unit = self._number(1.0, unit)[1]  # the numbers are SI from here on, and so is the name of their unit
         if len(issues) > before:
             return None
         value, low, high, sd = given.values()
@@ -252,7 +255,7 @@ class QuantityOf:
         origin = (texts["status"], texts["source"], unit)
         return Parameter(value, sd, low, high, distribution, *origin, note=texts["note"])
 
-    def _distribution(self, raw: Any, value: float | None, folder: Path | None) -> Distribution:
+    def _distribution(self, raw: Any, value: float | None, folder: Path | None, unit: str) -> Distribution:
         if not isinstance(raw, Mapping):
             raise wrong("a distribution is a mapping", as_written(raw), "{kind: normal, sd: …}")
         kind = raw.get("kind")
@@ -266,7 +269,7 @@ class QuantityOf:
                 issues.tell(message, str(key), allowed, key, hint=did_you_mean(str(key), needs))
         if kind in ("discrete", "empirical"):
             with issues.at():
-                found = self._from_values(raw, kind, what, folder)
+                found = self._from_values(raw, kind, what, folder, unit)
             if issues:
                 raise told(issues)
             return found
@@ -274,9 +277,9 @@ class QuantityOf:
         for key in sorted(needs, key="sd".__eq__):  # a relative sd needs the mean
             with issues.at(key):
                 if key in raw and key == "sd":
-                    numbers[key] = self._spread(raw[key], numbers.get("mean"))
+                    numbers[key] = self._spread(raw[key], numbers.get("mean"), unit)
                 elif key in raw:
-                    numbers[key] = self._number(raw[key])[0]
+                    numbers[key] = self._number(raw[key], unit)[0]
                 elif key in ("mean", "mode"):
                     numbers[key] = value
         optional = ("low", "high") if kind == "truncated_normal" else ()
@@ -294,7 +297,9 @@ class QuantityOf:
             raise wrong("a lognormal distribution needs a mean above 0", as_written(mean), "> 0")
         return Distribution(kind, mean, numbers.get("sd"), low, high, mode)
 
-    def _from_values(self, raw: Mapping[str, Any], kind: str, what: str, folder: Path | None) -> Distribution:
+    def _from_values(
+        self, raw: Mapping[str, Any], kind: str, what: str, folder: Path | None, unit: str
+    ) -> Distribution:
         source, file = raw.get("values"), raw.get("file")
         lines: list[int] | None = None
         if kind == "empirical" and ("file" in raw or "column" in raw):
@@ -308,7 +313,7 @@ class QuantityOf:
         values: list[float] = []
         for index, item in enumerate(source):
             try:
-                values.append(self._number(item)[0])
+                values.append(self._number(item, unit)[0])
             except PydanticCustomError as problem:
                 entry = (problem.context or {})["entries"][0]
                 if lines is None:

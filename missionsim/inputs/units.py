@@ -20,6 +20,7 @@ from missionsim.errors import did_you_mean
 _MOST_POWERS = 100
 """Product of all exponents of a unit: (m^9)^9 is no unit of anything."""
 _TOKEN = re.compile(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?")
+_WORD = re.compile(r"[A-Za-zΩµ°]+")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
 
 
@@ -110,8 +111,13 @@ def parse_quantity(text: str, dimension: str) -> float:
 
 
 def si_factor(unit: str) -> float | None:
-    """Factor to SI of a unit of the table (``Wh``, ``%``, ``deg``), or None for any other."""
-    return _SIMPLE[unit][0] if unit in _OF else None
+    """Factor to SI of a unit (``Wh``, ``%``, ``W/rpm``), or None for one of temperature or that is not known."""
+    if unit in _OF:
+        return _SIMPLE[unit][0]
+    try:
+        return None if _exponents(unit) == _exponents("K") else any_unit(unit)[0]
+    except UnitError:
+        return None
 
 
 def parse_any(text: str) -> tuple[float, str]:
@@ -135,10 +141,23 @@ def any_unit(unit: str) -> tuple[float, str]:
     quantity = _pint_unit(unit, "a unit such as W s/m", _OF)
     try:
         base = quantity.to_base_units()
+        offset = (0.0 * quantity).to_base_units().magnitude
     except Exception:
-        raise UnitError("unit with an offset", repr(unit), "K for differences of temperature") from None
+        offset = math.nan
+    if offset != 0.0:
+        raise UnitError("unit with an offset", repr(unit), "K for differences of temperature")
     size = float(base.magnitude)
-    return size, unit if math.isclose(size, 1.0) else f"{base.units:~}"
+    if math.isclose(size, 1.0):
+        return size, unit
+    # W min/m is W s/m rather than kg m/s^2, where SI units of the table in place of its own say the same
+    plain = _WORD.sub(lambda match: _in_si(match[0]), unit)
+    same = plain != unit and math.isclose(float(_pint_unit(plain, "", ()).to_base_units().magnitude), 1.0)
+    return size, plain if same else "W" if _exponents(unit) == _exponents("W") else f"{base.units:~}" or "1"
+
+
+def _in_si(name: str) -> str:
+    si = _OF[name].si if name in _OF else name
+    return f"({si})" if "/" in si else si
 
 
 def same_dimension(unit: str, other: str) -> bool:
