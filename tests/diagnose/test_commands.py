@@ -267,7 +267,7 @@ def test_calibrate_refits_a_robot_and_keeps_its_comments(folders: dict[str, Path
     text = robot.read_text(encoding="utf-8")
     assert "# Pioneer 3DX with a laptop" in text
     assert "source: calibration" in text
-    assert "9.79 before" in text
+    assert "9.79 W s/m before" in text
 
 
 @pytest.mark.parametrize(
