@@ -158,7 +158,8 @@ def improve(
         terminal.print(words.found_line(finding))
         before_w, after_w = finding.heldout_rmse_before_w, finding.heldout_rmse_after_w
         if before_w is not None and after_w is not None:
-            terminal.print(f"power error on held-out runs {rounded(before_w)} → {watts(after_w)}")
+            told = f"with all that was found {watts(after_w)}, without this {watts(before_w)}"
+            terminal.print(f"power error on held-out runs: {told}")
         asked = f"add {finding.effect} to battery {diagnosis.battery}?"
         return Confirm.ask(asked, default=True, console=terminal)
 

@@ -79,13 +79,16 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
     nan = float("nan")
     # no drive tells a load from an effect where its switch is not logged or its column stuck
     known = {candidate.effect for candidate in bench.features.candidates}
-    known -= {name for candidate in bench.features.candidates for name in candidate.never_on}
+    stuck = {name for candidate in bench.features.candidates for name in candidate.never_on}
+    known -= stuck
     for effect in effects:
         rivals = [name for name in effect.indistinguishable_from if name in known]
         unlogged = [name for name in effect.indistinguishable_from if name not in known]
         if unlogged:
             switches = " and ".join(f"on_{name.partition(':')[2]}" for name in unlogged)
             do = f"any run again with {switches} in the log, which no drive can tell"
+            if all(name in stuck for name in unlogged):
+                do = f"any run again in which {switches} changes: it is 0 in every row here, as a stuck column is"
             proposed.append(Experiment((effect.effect, *unlogged), do, nan, nan, nan, 0.0))
         if rivals:
             proposed += propose(bench, (effect.effect, *rivals))

@@ -63,6 +63,8 @@ def missing(effect: Finding) -> str:
         subject = f"{subject.replace(' on some floors', '')} on {part}"
     subject = subject[:1].upper() + subject[1:]
     share = f"{100 * abs(effect.energy_share):.1f} % of the energy"
+    if "regeneration" in effect.parameters:
+        share += ", before what comes back,"
     first = next(iter(effect.parameters.values()), None)
     if first is None or first.unit not in _PER or len(effect.parameters) > 1 or kind == "acceleration":
         return f"{subject} costs {share} that the model does not know"
@@ -140,6 +142,12 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     return f"with {word}" if beside else word
 
 
+def _one_in(count: float) -> str:
+    """Two digits, rounded down: nothing is surer than it is."""
+    unit = 10 ** max(0, math.floor(math.log10(count)) - 1)
+    return f"one case in {math.floor(count / unit) * unit:,}"
+
+
 def sure(battery: BatteryDiagnosis) -> str:
     """How sure the first answer is, and what speaks for it."""
     first = next(iter(battery.effects), None)
@@ -147,13 +155,12 @@ def sure(battery: BatteryDiagnosis) -> str:
         return "Not sure which: these data cannot tell these effects apart."
     if first is not None:
         p = first.p_value
-        odds = (
-            f"one case in {10 ** round(math.log10(1.0 / p)):,.0f}" if p >= 1e-6 else "less than one case in a million"
-        )
+        odds = _one_in(1.0 / p) if p >= 1e-6 else "less than one case in a million"
         odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
         if doubt := "see the runs not used" if worse(battery) else first.remark:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
-        runs = "each run shows it too" if "repeated" in first.level else "runs alone are too few to show it"
+        repeated = "repeated" in first.level
+        runs = "with whole runs as the sample it is there too" if repeated else "runs alone are too few to show it"
         return f"Sure: {odds}; {runs}."
     if not battery.proposed_laws:
         return ""

@@ -16,6 +16,7 @@ from missionsim.effects.library import all_effects
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
+from missionsim.labels import Labels
 from missionsim.runs.admit import admit, admit_to_test
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.drive import filled
@@ -141,7 +142,20 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     if count >= len(logs):
         raise InputError.single("too few runs to hold some out", got=f"{len(logs)} run", allowed="at least 2 runs")
     what = "run" if count == 1 else f"{count} runs"
-    return Split(logs[:-count], logs[-count:], f"the last {what} of {len(logs)}")
+    train, held = logs[:-count], logs[-count:]
+    how = f"the last {what} of {len(logs)}"
+    for name in sorted(set.intersection(*(set(log.columns) for log in logs))):
+        fitted, tested = ([set(_texts(log.columns[name])) for log in some] for some in (train, held))
+        of = set.union(*tested)
+        if len(of) == 1 and 2 * sum(of == one for one in fitted) < len(fitted):
+            how += f", all of {name} {next(iter(of))} as {sum(of == one for one in fitted)} of the fitted ones are"
+            return Split(train, held, how, shifted=True)
+    return Split(train, held, how)
+
+
+def _texts(column: object) -> list[str]:
+    """The texts of a label; empty for numbers."""
+    return column.texts() if isinstance(column, Labels) else []
 
 
 def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) -> Split:

@@ -78,7 +78,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     ]
     edge = "; at the edge of what is searched: check the clocks" if battery.clock_at_edge else ""
     clock = f"meter {meter_clock(battery.delay_s, battery.lag_s)} (applied{edge})"
-    lines.append(("CLOCK", clock if battery.aligned else "taken as logged, as asked"))
+    lines.append(("CLOCK", clock if battery.aligned else "taken as logged"))
     lines.append(("NOISE", _noise(battery)))
     lines += [("FOUND", found_line(effect)) for effect in clear]
     lines += [("DRIVEN", f"{_execution(e)}; {100 * e.energy_share:+.1f} % of the energy") for e in battery.execution]

@@ -342,14 +342,17 @@ def uphill(
     return centre
 
 
+def still(runs: Sequence[RunColumns]) -> bool:
+    """Whether no column changes within any run: such a power is neither late nor early."""
+    rows = [row for run in runs for row in run.values]
+    return all(float(np.ptp(row)) <= STILL * float(np.max(np.abs(row), initial=0.0)) for row in rows)
+
+
 def find_clock(runs: Sequence[RunColumns], step_s: float) -> Place:
     """Common delay and lag [s] by profile likelihood of a prewhitened regression with all columns in.
 
     Row 0 of each run's columns is the base model; keeping every candidate in leaves a real inertia effect alone.
     """
-    rows = [row for run in runs for row in run.values]
-    if all(float(np.ptp(row)) <= STILL * float(np.max(np.abs(row), initial=0.0)) for row in rows):
-        return 0.0, 0.0  # what never changes is neither late nor early
     reach = max(1.0, 1.0 * step_s)
     if len(runs) > CLOCK_RUNS:
         runs = runs[:: -(-len(runs) // 4)]  # a start is all that is wanted; the model refines it with every run

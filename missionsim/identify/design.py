@@ -9,7 +9,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Clock, Intervals, RunColumns, Weights, find_clock, integral_curves, make_bins
+from missionsim.identify.align import (
+    Clock,
+    Intervals,
+    RunColumns,
+    Weights,
+    find_clock,
+    integral_curves,
+    make_bins,
+    still,
+)
 from missionsim.identify.data import Candidate, Column, Constraints, Layout, RunData
 from missionsim.identify.settings import (
     CLOCK_SD_S,
@@ -267,7 +276,7 @@ def make_source(
     for c in columns:
         c.values[1] *= layout.mean_power_w / level if level > 0 else 0.0
         c.values[3] *= layout.mean_power_w / square if square > 0 else 0.0
-    clock, aligned = Clock.as_logged(len(runs)), like is None and settings.align
+    clock, aligned = Clock.as_logged(len(runs)), like is None and settings.align and not still(columns)
     if like is not None:
         clock = like.clock.in_all(len(runs))
     elif aligned:

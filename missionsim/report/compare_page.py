@@ -34,7 +34,10 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
     if comparison.mission:
         subtitle += f", mission {comparison.mission}"
     batteries = list(comparison.batteries.values())
-    sections = [web.Section("Result", [block for one in batteries for block in _result(one, tolerance_pct)])]
+    result = [block for one in batteries for block in _result(one, tolerance_pct)]
+    if comparison.left_out:
+        result += [web.Paragraph("Left out, and in none of these numbers:"), web.Bullets(comparison.left_out)]
+    sections = [web.Section("Result", result)]
     parts: dict[str, Callable[[BatteryComparison], list[web.Block]]] = {
         "Where it fails": _where,
         "Power over time": lambda one: _power(one, len(batteries)),

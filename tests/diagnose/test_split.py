@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from missionsim.diagnose.split import choose_split, stretches
 from missionsim.effects.covariates import derive
 from missionsim.errors import InputError
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS
+from missionsim.labels import Labels
 
 from .logs import drive
 
@@ -27,6 +29,19 @@ def test_last_quarter_is_the_default() -> None:
     assert names(split.train) == [f"run_{i:02d}" for i in range(6)]
     assert names(split.heldout) == ["run_06", "run_07"]
     assert split.how == "the last 2 runs of 8"
+
+
+@pytest.mark.parametrize(("floors", "told"), [("ttttttss", True), ("tsttttss", True), ("ststssts", False)])
+def test_last_runs_that_are_all_of_what_few_fitted_ones_are_differ_in_kind(floors: str, told: bool) -> None:
+    """Files in the order of their names put one floor last."""
+    words = [Labels.of([{"t": "tile", "s": "snow"}[floor]] * 30) for floor in floors]
+    split = choose_split(
+        [replace(run, columns={**run.columns, "surface": w}) for run, w in zip(RUNS, words, strict=True)]
+    )
+    assert names(split.heldout) == ["run_06", "run_07"]
+    assert split.shifted is told
+    count = floors[:6].count("s")
+    assert (split.how == f"the last 2 runs of 8, all of surface snow as {count} of the fitted ones are") is told
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -119,3 +119,4 @@ def test_a_column_stuck_at_zero_makes_nobody_sure(shared: Path, tmp_path: Path) 
     assert found.verdict == "ambiguous"
     assert found.effects[0].indistinguishable_from == ("component_power:kinect",)
     assert "on_kinect" in found.next_experiments[0].do
+    assert "on_kinect changes: it is 0 in every row here" in found.next_experiments[0].do

@@ -248,3 +248,18 @@ def test_limits_above_half_of_the_energy_say_nothing_and_eight_are_shown() -> No
     told = dict(words.report(replace(BATTERY, candidates=limits)))["NOT SEEN"]
     assert "e8 < 8.0 % and 1 more with higher limits" in told
     assert told.endswith("say nothing of blind")
+
+
+@pytest.mark.parametrize(
+    ("p_value", "told"),
+    [(0.00027, "one case in 3,700"), (0.04, "one case in 25"), (1e-6, "one case in 1,000,000"), (1e-9, "a million")],
+)
+def test_nothing_is_called_surer_than_it_is(p_value: float, told: str) -> None:
+    assert told in sentences.sure(replace(BATTERY, effects=(replace(GRADE, p_value=p_value),)))
+
+
+def test_what_gives_back_is_told_before_it_does() -> None:
+    back = {**GRADE.parameters, "regeneration": Estimate(0.7, 0.6, 0.8)}
+    assert "3.3 % of the energy, before what comes back, that the model" in sentences.missing(
+        replace(GRADE, parameters=back)
+    )
