@@ -75,7 +75,7 @@ def test_page_asks_for_nothing_and_forbids_it(comparison: Comparison) -> None:
 def test_a_run_that_was_left_out_stands_beside_the_result(comparison: Comparison) -> None:
     assert "Left out" not in compare_page(comparison)
     html = compare_page(replace(comparison, left_out=("ice_11: 0.319 times the other runs",)))
-    assert html.index("in none of these numbers") < html.index("ice_11: 0.319 times") < html.index("What was assumed")
+    assert html.index("in none of these numbers") < html.index("ice_11: 0.319 times") < html.rindex("What was assumed")
 
 
 def test_many_long_runs_still_make_a_small_page() -> None:
