@@ -155,7 +155,7 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
 
 def _texts(column: object) -> list[str]:
     """The texts of a label; empty for numbers."""
-    return column.texts() if isinstance(column, Labels) else []
+    return column.texts().tolist() if isinstance(column, Labels) else []
 
 
 def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) -> Split:
