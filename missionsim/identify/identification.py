@@ -21,7 +21,7 @@ from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import Remains, demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
-from missionsim.identify.simpler import instead_of_effects, level_difference, parameters_instead
+from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
 
@@ -137,12 +137,13 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
     factor: float | None = None
     averages: tuple[Structure, ...] = ()
     if not given:
+        shifted = drifts_instead(model)
         if near:
-            shifted = parameters_instead(model)
-            structures = (*shifted.values(), *structures)
+            shifted |= parameters_instead(model)
             doubtful = [k for k in model.chosen if demoted(model, choice.evidence[k], remains)]
         else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
-            shifted, doubtful = {}, [k for k in forms if not constraints.of_column(k).levels]
+            doubtful = [k for k in forms if not constraints.of_column(k).levels]
+        structures = (*shifted.values(), *structures)
         unnamed = tuple(dict.fromkeys((*(constraints.of_column(k).effect for k in doubtful), *shifted)))
         named = [name for name in chosen if name not in unnamed]
         factor = instead_of_effects(model) if named else None

@@ -1,14 +1,29 @@
-"""What one number of the base model explains in the place of effects: a factor, a level, or a single parameter."""
+"""What one number explains in the place of effects: a factor, a level, a parameter of the base, or its drift."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from missionsim.identify.design import Source
+from missionsim.identify.design import Design, Source
+from missionsim.identify.evidence import cause_is_constant
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
-from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE, ODDS_NATS, SAME_COLUMN
+from missionsim.identify.predictive import LeastSquares
+from missionsim.identify.settings import (
+    AS_MUCH,
+    AT_LEVEL,
+    LEAST_FREE_SD,
+    LEVEL_SHARE,
+    ODDS_NATS,
+    RIVAL_PART,
+    SAME_COLUMN,
+    SEVERAL_RUNS,
+    UNCLEAR,
+)
 
 
 def may_differ(source: Source) -> bool:
@@ -100,6 +115,49 @@ def parameters_instead(model: Model) -> dict[str, Structure]:
                 told[effect] = Structure("", 0.0, 0.0, abs(float(share)), words)
                 break
     return told
+
+
+def drifts_instead(model: Model) -> dict[str, Structure]:
+    """Effects whose cause is constant in runs and that a steady drift may stand behind; each with what is said."""
+    constraints = model.constraints
+    told: dict[str, Structure] = {}
+    for number in constraints.numbers(model.chosen):
+        own, rest = constraints.split(model.chosen, number)
+        candidate = constraints.candidates[number]
+        if candidate.prior is not None or not cause_is_constant(model, own[0]):
+            continue
+        if drifts_as_well(model.design, own, rest):
+            words = (
+                f"either {candidate.effect}, or a steady drift from run to run in their order, as over a long day: "
+                "these data cannot tell; drive in another order"
+            )
+            share = model.gram.coefficients(model.chosen)[0][[k in own for k in model.chosen]].sum()
+            told[candidate.effect] = Structure("", 0.0, 0.0, abs(float(share)), words)
+    return told
+
+
+def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> bool:
+    """Whether a steady drift over the runs, in their order, of a load or of one parameter of the base predicts left-out
+    runs as well as some columns, beside others.
+
+    Loads that grow with every trip, or the trips of a day that gets warmer, are in the order of the runs.
+    """
+    if len(design.runs) <= SEVERAL_RUNS:
+        return False
+    order = np.linspace(-1.0, 1.0, len(design.runs))[design.run_index()]
+    drifts = order * np.vstack([np.ones_like(order), design.gradient[: len(design.layout.parameters)]])
+    squares = LeastSquares.of(replace(design, phi=np.vstack([design.phi, drifts])))
+    with_it, without = squares.leave_out([*rest, *own]), squares.leave_out(rest)
+    for i in range(len(design.phi), len(design.phi) + len(drifts)):
+        other = squares.leave_out([*rest, i])
+        behind = other.square - with_it.square
+        unclear = behind.sum() < UNCLEAR * float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
+        # most of what they explain is the drift's as well, and is not theirs beside it (Davidson and MacKinnon 1981)
+        least = RIVAL_PART * (without.total - with_it.total)
+        kept = other.total - squares.leave_out([*rest, *own, i]).total
+        if unclear and without.total - other.total > least > kept:
+            return True
+    return False
 
 
 def level_difference(model: Model) -> Structure | None:

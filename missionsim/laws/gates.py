@@ -11,6 +11,7 @@ import numpy as np
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
 from missionsim.identify.settings import SEVERAL_RUNS
+from missionsim.identify.simpler import drifts_as_well
 
 if TYPE_CHECKING:
     from missionsim.laws.search import Fitted
@@ -37,7 +38,7 @@ class Gates:
 
 
 def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
-    """Size, likelihood with all tries counted, blocks of time, and runs left out.
+    """Size, likelihood with all tries counted, blocks of time, runs left out, and no drift over the runs instead.
 
     `clock`: whether the law reads a clock, which any wander of half the runs looks like.
     """
@@ -60,6 +61,7 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
         "left-out runs": not several
         or (errors.with_law < least * errors.without and errors.better >= (0.75 if clock else 0.5) * errors.acting),
         "several runs": errors.acting >= runs,
+        "no drift": not drifts_as_well(model.design, model.chosen[-1:], model.chosen[:-1]),
     }
     return Gates(sd, passed)
 

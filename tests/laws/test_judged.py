@@ -94,8 +94,27 @@ def _judged(monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], errors: tup
 
 
 def model_of(far: bool, runs: int) -> SimpleNamespace:
-    settings = SimpleNamespace(settings=Settings())
-    return SimpleNamespace(squares=() if far else None, design=SimpleNamespace(runs=range(runs)), constraints=settings)
+    settings, design = SimpleNamespace(settings=Settings()), SimpleNamespace(runs=range(runs))
+    return SimpleNamespace(squares=() if far else None, design=design, constraints=settings, chosen=(0, 1))
+
+
+@pytest.fixture(autouse=True)
+def no_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gates, "drifts_as_well", lambda *_: False)
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_a_law_that_a_drift_over_the_runs_explains_as_well_is_none(
+    monkeypatch: pytest.MonkeyPatch, drifts: bool
+) -> None:
+    """Where payload is no longer named in the place of a drift, k·|v|·payload would be added to the file."""
+    monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
+    monkeypatch.setattr(gates, "drifts_as_well", lambda _, law, others: drifts and (law, others) == ((1,), (0,)))
+    errors = SimpleNamespace(without=2.0, with_law=1.0, better=8, acting=8)
+    law = SimpleNamespace(model=model_of(False, 8), column=1, errors=errors, rise=80.0, penalty=5.0, form=(0,))
+    assert {name for name, passed in gates.gates(law).passed.items() if not passed} == (
+        {"no drift"} if drifts else set()
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,62 @@
+"""Runs that differ by a drift in their order, and by what was loaded more with every trip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from missionsim.identify.data import RunData
+from missionsim.identify.identification import Identification, identify
+from missionsim.identify.simpler import drifts_as_well
+
+from .world import library, make_runs
+
+COUNT = 18
+
+
+def loaded(kilograms: list[float], drift_n: float, each_n: float = 0.0) -> list[RunData]:
+    """Runs of a robot whose friction grows by so many newtons over the day, and by so many with each kilogram."""
+    runs = []
+    for run, kg, order in zip(make_runs(3, count=COUNT), kilograms, np.linspace(0.0, 1.0, COUNT), strict=True):
+        speed = run.columns["rolling_friction"]
+        runs.append(
+            replace(
+                run,
+                measured_w=run.measured_w + (drift_n * order + each_n * kg) * speed,
+                columns=run.columns | {"payload": kg * speed},
+                covariates=run.covariates | {"payload_kg": np.full(len(speed), kg)},
+            )
+        )
+    return runs
+
+
+def diagnosed(runs: list[RunData]) -> Identification:
+    return identify(runs, library(), {})
+
+
+MORE_EACH_TIME = [2.0 * (j // (COUNT // 3)) for j in range(COUNT)]
+IN_TURN = [2.0 * (j % 3) for j in range(COUNT)]
+
+
+def test_a_drift_over_the_day_is_not_called_the_load_that_grew_with_it() -> None:
+    found = diagnosed(loaded(MORE_EACH_TIME, 4.0))
+    assert not found.effects
+    assert found.verdict == "unexplained_structure"
+    assert "either payload, or a steady drift from run to run in their order" in found.unexplained.shape
+
+
+@pytest.mark.parametrize(("kilograms", "drift_n"), [(MORE_EACH_TIME, 0.0), (IN_TURN, 0.0), (IN_TURN, 0.5)])
+def test_a_load_is_named_that_a_drift_does_not_explain_as_well(kilograms: list[float], drift_n: float) -> None:
+    found = diagnosed(loaded(kilograms, drift_n, each_n=1.0))
+    assert [effect.effect for effect in found.effects] == ["payload"]
+    assert "drift" not in found.unexplained.shape
+
+
+def test_three_runs_have_no_drift_that_could_be_told_from_anything() -> None:
+    model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model
+    payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
+    assert drifts_as_well(model.design, [payload], [])
+    few = diagnosed(loaded(MORE_EACH_TIME, 4.0)[::6]).choice.model
+    assert not drifts_as_well(few.design, [payload], [])
