@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -10,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault
+from missionsim.inputs.check_floors import strange_floors
 from missionsim.inputs.checker import Checker
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
-from missionsim.inputs.parameter import uncertain_values
+from missionsim.inputs.parameter import Parameter, uncertain_values
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import every_segment, flat_segments
 from missionsim.inputs.tree import Where
@@ -30,6 +32,7 @@ def check_mission(mission: MissionSpec) -> list[Fault]:
     check = _MissionCheck(mission)
     if mission.start is not None:
         check.place(("start",), mission.start)
+    check.angle(("start_heading",), mission.start_heading)
     check.settings(("defaults",), mission.defaults, None)
     here = mission.start if mission.start in check.places else None
     check.walk(mission.segments, here, mission.start is not None and here is None)
@@ -42,7 +45,7 @@ def check_mission(mission: MissionSpec) -> list[Fault]:
         check.keys(("behaviour", "schemes"), mission.behaviour.schemes, check.robot.schemes, "control scheme")
     check.chances()
     check.correlations()
-    return [*check.faults, *_unread(mission)]
+    return [*check.faults, *_unread(mission), *strange_floors(mission, flat_segments(mission.segments))]
 
 
 class _MissionCheck(Checker):
@@ -176,6 +179,8 @@ class _MissionCheck(Checker):
         if not self.once(where, "segment"):
             return
         self.settings(where, segment, segment)
+        for key in ("angle", "direction", "heading"):
+            self.angle((*where, key), getattr(segment, key, None))
         if robot is None:
             return
         drive = robot.body.drive
@@ -191,6 +196,16 @@ class _MissionCheck(Checker):
             given = own or self.mission.defaults.scheme is not None
             at = (*where, "scheme") if own else ("defaults", "scheme") if given else where
             self.stands_still(at, name, robot, f"a {segment.kind} segment", key=not given)
+
+    def angle(self, where: Where, given: Parameter | None) -> None:
+        """A plain number of more than a whole turn is hardly meant in radians."""
+        raw = self.document.node(where).data
+        raw = raw.get("value") if isinstance(raw, dict) and "unit" not in raw else raw
+        if given is None or not isinstance(raw, (int, float)) or abs(given.value) <= 2.0 * math.pi:
+            return
+        turns, meant = abs(given.value) / (2.0 * math.pi), f"{given.value:g} deg"
+        message = f"a plain number is in radians: these are {turns:.3g} whole turns"
+        self.add(where, message, f"{given.value:g}", f"{meant}, or {given.value:g} rad", meant, warning=True)
 
     def settings(self, where: Where, settings: Any, segment: Any | None) -> None:
         """Scheme, navigation, sensors, conditions, speeds and payload of a segment or of `defaults`."""

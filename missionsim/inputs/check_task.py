@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from missionsim.errors import Fault
+from missionsim.inputs.check_floors import strange_floors
 from missionsim.inputs.checker import Checker
 from missionsim.inputs.task import SpeedRange, TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.tree import Where
@@ -20,7 +21,7 @@ def check_task(task: TaskSpec) -> list[Fault]:
     check.docks()
     if task.repeat is not None:
         check.rounds()
-    return check.faults
+    return [*check.faults, *strange_floors(task)]
 
 
 class _TaskCheck(Checker):

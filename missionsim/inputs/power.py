@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import Any, cast
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.library import get_effect
+from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.named_models import get_motion_model, law_models
 from missionsim.errors import InputError
@@ -67,9 +68,29 @@ def build_power_model(robot: RobotSpec) -> PowerModel:
         back,
         switching,
         known=known,
-        floors=frozenset(floors),
+        # where something is by floor, the check of the mission has told of others
+        floors=frozenset() if floors_priced(robot) else frozenset(floors),
         meters=meters,
     )
+
+
+_COMPARED = re.compile(r"""\bsurface\s*[=!]=\s*(["'])(.*?)\1|(["'])((?:(?!\3).)*)\3\s*[=!]=\s*surface\b""")
+
+
+def floors_priced(robot: RobotSpec) -> set[str]:
+    """Floors that a parameter or a formula of the robot's model names."""
+    effects = [effect for effect in robot.effects if not effect.candidate]
+    found: set[str] = set()
+    for effect in effects:
+        family, _, floor = (effect.effect or "").partition(":")
+        if family in FLOORS:
+            found |= {floor} if floor else {name[2:] for name in effect.parameters if name.startswith("k_")}
+    motion = robot.motion
+    formulas = [effect.power for effect in effects] + ([motion.power, motion.standing] if motion is not None else [])
+    formulas += [load.law.power for part in robot.components.values() for load in part.loads if load.law is not None]
+    for text in formulas:
+        found |= {one[2] or one[4] for one in _COMPARED.finditer(text or "")}
+    return found - {"", None}
 
 
 def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:

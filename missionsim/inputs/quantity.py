@@ -361,6 +361,12 @@ class QuantityOf:
                     allowed += f", at most {self.high:g}{shown}"
                 if self.dimension == "fraction" and 1 < number <= 100 and isinstance(given, (int, float)):
                     hint = f"{given:g} %"
+                if (
+                    self.dimension == "angle"
+                    and isinstance(given, (int, float))
+                    and abs(math.radians(given)) < self.high
+                ):
+                    hint = f"{given:g} deg"
                 at = (key,) if isinstance(raw, Mapping) and key in raw else ()
                 issues.tell("impossible value", as_written(given), allowed, *at, hint=hint)
                 return

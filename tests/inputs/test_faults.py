@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import missionsim
+from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.inputs import check_files, load_mission, load_robot
 
@@ -242,6 +244,77 @@ def test_a_slope_that_no_term_reads_is_told(folder: Path) -> None:
     change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
     assert told("mission.yaml") == []
     assert load_mission("mission.yaml").warnings == ()
+
+
+BY_FLOOR = (
+    ROBOT
+    + """effects:
+  - {effect: surface_rolling_resistance, battery: main, parameters: {k_grass: 14 N}}
+"""
+)
+
+
+def test_a_floor_that_nothing_names_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    site = Path("environment.yaml")
+    site.write_text(ENVIRONMENT.replace("to: B}", "to: B, surface: gras}, {from: B, to: C, surface: gras}"))
+    Path("robot.yaml").write_text(ROBOT)
+    assert load_mission("mission.yaml").warnings == ()  # nothing is by floor: all floors are the base's
+    Path("robot.yaml").write_text(BY_FLOOR)
+    (warning,) = load_mission("mission.yaml").warnings
+    assert (warning.file, warning.line, warning.hint) == ("environment.yaml", 4, "grass")
+    assert warning.message.startswith("floor 'gras' costs no more than the base")
+    for command in ("validate", "run"):
+        assert run_command([command, "mission.yaml"]) == 0
+        assert capsys.readouterr().err.count("did you mean: grass") == 1
+    site.write_text(ENVIRONMENT.replace("to: B}", "to: B, surface: grass}"))
+    assert load_mission("mission.yaml").warnings == ()
+    Path("robot.yaml").write_text(BY_FLOOR.replace("k_grass", "k_gras"))
+    assert [w.hint for w in load_mission("mission.yaml").warnings] == ["gras"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "origin", "floor", "hint"),
+    [
+        ("effect: 'surface_rolling_resistance:grass', parameters: {k: 14 N}", "", "gras", "grass"),
+        ("effect: 'surface_rolling_resistance:grass', parameters: {k: 14 N}", "", "grass", None),
+        ("name: soft, power: \"k * v * (surface == 'grass')\", parameters: {k: 14}", "", "gras", "grass"),
+        ("name: soft, power: \"k * v * ('grass' != surface)\", parameters: {k: 14}", "", "grass", None),
+        ("effect: surface_rolling_resistance, parameters: {k_grass: 14 N}", "tiles", "tiles", None),
+        ("effect: surface_rolling_resistance, parameters: {k_grass: 14 N}", "tiles", "tile", "tiles"),
+        ("effect: surface_rolling_resistance, parameters: {k_grass: 14 N}", "tiles", "grass", None),
+        ("effect: surface_rolling_resistance, candidate: true, parameters: {k_grass: 14 N}", "", "gras", None),
+    ],
+)
+def test_floors_that_a_robot_names(folder: Path, effect: str, origin: str, floor: str, hint: str | None) -> None:
+    known = f"origin: {{range: {{surface: [{origin}]}}}}\n" * bool(origin)
+    Path("robot.yaml").write_text(f"{ROBOT}{known}effects: [{{battery: main, {effect}}}]\n")
+    Path("mission.yaml").write_text(MISSION.replace("to: B}", f"to: B, surface: {floor}}}"))
+    found = missionsim.simulate(load_mission("mission.yaml")).warnings
+    assert [w.hint for w in (*load_mission("mission.yaml").warnings, *found)] == [hint] * (hint is not None)
+
+
+@pytest.mark.parametrize(
+    ("segment", "hint"),
+    [
+        ("turn: {angle: 180}", "180 deg"),
+        ("turn: {angle: {value: -90, sd: 1}}", "-90 deg"),
+        ("arc: {radius: 1 m, angle: 45}", "45 deg"),
+        ("drive: {distance: 5 m, heading: 90}", "90 deg"),
+        ("turn: {angle: 180 deg}", None),
+        ("turn: {angle: 12.6 rad}", None),
+        ("turn: {angle: 3.1416}", None),
+    ],
+)
+def test_degrees_without_their_unit_are_told(folder: Path, segment: str, hint: str | None) -> None:
+    Path("mission.yaml").write_text(MISSION.replace("drive: {to: B}", segment))
+    assert [w.hint for w in load_mission("mission.yaml").warnings] == [hint] * (hint is not None)
+
+
+@pytest.mark.parametrize(("slope", "hint"), [("4", "4 deg"), ("-4", "-4 deg"), ("{value: 4}", "4 deg"), ("80", "")])
+def test_a_slope_in_degrees_without_its_unit(folder: Path, slope: str, hint: str) -> None:
+    Path("environment.yaml").write_text(ENVIRONMENT.replace("to: B}", f"to: B, slope: {slope}}}"))
+    (fault,) = check_files(["environment.yaml"])
+    assert (fault.message, fault.hint) == ("impossible value", hint)
 
 
 def test_a_load_that_no_term_reads_is_told_and_a_formula_can_read_it(folder: Path) -> None:
