@@ -107,7 +107,7 @@ def test_what_the_robot_was_not_fitted_to_is_told_at_its_edge(
     site, robot = tmp_path / "site.yaml", tmp_path / "robot.yaml"
     site.write_text(ONE_WAY.replace("name: up,", "name: up, surface: grit,"))
     text = (root / "missions/planning/inspector.yaml").read_text()
-    robot.write_text(text + "origin: {range: {slope_rad: [-0.01, 0.01]}}\n")
+    robot.write_text(text.replace("{surface: [paved]}", "{surface: [paved], slope_rad: [-0.01, 0.01]}"))
     words = ["reach", str(site), "--robot", str(robot), "--from", "base", "--json", str(tmp_path / "a.json")]
     assert run_command(words) in (0, 1)
     assert f"{site}:7:5: warning: slope 2.29 °" in capsys.readouterr().err
