@@ -14,7 +14,8 @@ from missionsim.inputs.tree import Document, Where
 def strange_floors(site: RobotAtSite, segments: Iterable[Any] = ()) -> Iterator[Fault]:
     """Warnings for floors that neither the model nor the logs behind it name, each once: they cost what the base does.
 
-    Nothing is said where nothing in the robot's file is by floor.
+    `site`: a mission or a task. `segments`: those of the mission, blocks written out. Nothing is said where nothing in
+    the robot's file is by floor.
     """
     robot, environment = site.robot, site.environment
     if robot is None or not (site.whole and robot.whole and robot.sound) or not (priced := floors_priced(robot)):

@@ -356,17 +356,11 @@ class QuantityOf:
             beyond |= self.strict_high and number >= self.high and drawn
             if beyond:
                 given = raw.get(key, number) if isinstance(raw, Mapping) else raw
-                hint = ""
                 if number > self.high >= _UNSAID and math.isfinite(self.low):
                     allowed += f", at most {self.high:g}{shown}"
-                if self.dimension == "fraction" and 1 < number <= 100 and isinstance(given, (int, float)):
-                    hint = f"{given:g} %"
-                if (
-                    self.dimension == "angle"
-                    and isinstance(given, (int, float))
-                    and abs(math.radians(given)) < self.high
-                ):
-                    hint = f"{given:g} deg"
+                unit, size = {"fraction": ("%", 0.01), "angle": ("deg", math.pi / 180)}.get(self.dimension, ("", 0.0))
+                plain = unit and isinstance(given, (int, float)) and abs(number) > 1
+                hint = f"{given:g} {unit}" if plain and self.low <= number * size <= self.high else ""
                 at = (key,) if isinstance(raw, Mapping) and key in raw else ()
                 issues.tell("impossible value", as_written(given), allowed, *at, hint=hint)
                 return
