@@ -8,10 +8,11 @@ from typing import Any, cast
 from missionsim.errors import Fault, did_you_mean
 from missionsim.inputs.mission import RobotAtSite
 from missionsim.inputs.power import floors_priced
+from missionsim.inputs.segments import SegmentSpec
 from missionsim.inputs.tree import Document, Where
 
 
-def strange_floors(site: RobotAtSite, segments: Iterable[Any] = ()) -> Iterator[Fault]:
+def strange_floors(site: RobotAtSite, segments: Iterable[SegmentSpec] = ()) -> Iterator[Fault]:
     """Warnings for floors that neither the model nor the logs behind it name, each once: they cost what the base does.
 
     `site`: a mission or a task. `segments`: those of the mission, blocks written out. Nothing is said where nothing in
