@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Covariates
+from missionsim.effects.model import PowerModel
 from missionsim.identify.findings import BatteryDiagnosis, Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
@@ -22,9 +24,10 @@ from missionsim.identify.settings import (
     SMALL_TIME,
 )
 from missionsim.labels import Labels
-from missionsim.numerals import watts
+from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import may_be_cause
+from missionsim.runs.error import errors_of
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
 from missionsim.runs.run import Run
 
@@ -150,3 +153,30 @@ def fed_note(last: BatteryDiagnosis, battery: str, fitted: Sequence[Run], others
                 f"runs with more of it; where it is known to be fed, add-effect --effect {one.effect} --force adds it."
             )
     return ""
+
+
+HARDLY_TURNING = 0.1
+"""Turn rates below this part of a fast turn's (the 99th percentile) are what a robot that drives straight shows."""
+LOST = 0.05
+"""Part of the energy that makes a sentence worth it (assumed)."""
+
+
+def straight_note(model: PowerModel, runs: Sequence[Run], battery: str) -> str:
+    """In words, that a file draws much of its power from turn rates as small as a straight drive's, which are exactly
+    nought in a simulated mission; else empty."""
+    name = "yaw_rate_rad_s"
+    if not all(name in run.columns for run in runs):
+        return ""
+    least = HARDLY_TURNING * float(np.nanquantile(np.abs(np.concatenate([run.number(name) for run in runs])), 0.99))
+    rates = [run.number(name) for run in runs]
+    small = [np.where(np.abs(rate) < least, 0.0, rate) for rate in rates]
+    straight = [replace(run, columns={**run.columns, name: rate}) for run, rate in zip(runs, small, strict=True)]
+    driven, simulated = (errors_of(model, some, battery).total.model_j for some in (runs, straight))
+    lost = 1.0 - simulated / driven if driven else 0.0
+    if abs(lost) < LOST:
+        return ""
+    return (
+        f" {100 * abs(lost):.0f} % {'less' if lost > 0.0 else 'more'} energy comes out where turn rates below "
+        f"{rounded(least, 2)} rad/s are none, as in a simulated mission: what was found reads the noise of straight "
+        "drives. Set it to zero in the map, or do not trust `run` on straight ways."
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.leftover import beyond_note, fed_note, standing_out
+from missionsim.diagnose.leftover import beyond_note, fed_note, standing_out, straight_note
 from missionsim.diagnose.split import Split
 from missionsim.identify.findings import Judged, Structure
 from missionsim.identify.settings import Settings
-from missionsim.inputs.loading import load_robot
+from missionsim.inputs.edit import robot_text
+from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.runs.motion import MOTIONS
@@ -152,3 +154,20 @@ def test_watts_that_are_worth_a_sentence(here: float, there: float, told: bool) 
     heater = Judged("logged_power:power_heater_w", False, "", 0.01)
     last = SimpleNamespace(candidates=[Judged("grade", False, "", 0.01), heater])
     assert bool(fed_note(last, "robot", [run(here)], [run(there)])) is told
+
+
+@pytest.mark.parametrize(("bend", "told"), [("abs(yaw_rate_rad_s)", False), ("tanh(abs(yaw_rate_rad_s) / 0.01)", True)])
+def test_a_law_that_reads_the_noise_of_straight_drives_is_told(bend: str, told: bool) -> None:
+    """A gyro's 0.03 rad/s while the robot drives straight: a simulated mission has none there."""
+    law = f'\n  - {{name: law, battery: robot, power: "k * {bend}", parameters: {{k: {{value: 20, unit: W}}}}}}\n'
+    text = robot_text("pioneer3dx")
+    model = Subject.of(robot_from_text(text + "\neffects:" + law)).model
+    rng = np.random.default_rng(1)
+    runs = [drive(seed, seconds=300.0) for seed in range(3)]
+    noisy = []
+    for run in runs:
+        rate = run.number("yaw_rate_rad_s") + rng.normal(0, 0.03, run.rows)
+        noisy.append(replace(run, columns={**run.columns, "yaw_rate_rad_s": rate}))
+    note = straight_note(model, noisy, "robot")
+    assert ("do not trust `run` on straight ways" in note) is told
+    assert straight_note(model, runs, "robot") == ""
