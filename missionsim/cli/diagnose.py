@@ -293,8 +293,8 @@ def add_effect(
     if made.rivals:
         told = f"these logs cannot tell {effect} from {', '.join(made.rivals)}"
         print(f"warning: {told}; missionsim diagnose says what to drive to find out", file=sys.stderr)
-    if made.effect.remark:
-        print(f"warning: {made.effect.remark}", file=sys.stderr)
+    if made.effect.doubt:
+        print(f"warning: {made.effect.doubt}", file=sys.stderr)
     if to.text:
         terminal = console()
         found = words.parameters_told(made.effect)

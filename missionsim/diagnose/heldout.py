@@ -30,7 +30,6 @@ from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
 
 KINDS = ("nominal", "recalibrated", "with_effects")
-BESIDE = "beside it"
 PARTS = 4
 """Of the runs, each predicted from the others: with fewer, each would be fitted to too few runs of a floor."""
 
@@ -132,22 +131,20 @@ class Models:
         return tuple(told)
 
     def leaning(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
-        """The effects, with a remark on those beside which a parameter of the formula of motion falls below nothing, as
-        it is in this fit."""
-        formula = {name for name, parameter in self.features.parameters.items() if of_formula(parameter)}
+        """The effects, with what of the formula of motion falls below nothing beside each in this fit."""
+        formula = [name for name, parameter in self.features.parameters.items() if of_formula(parameter)]
+        below = {name: new for name in formula if (new := fitted.values.get(name)) is not None and new.value < 0.0}
         told = []
         for effect in effects:
-            remarks = [part for part in effect.remark.split("; ") if part and not part.startswith(BESIDE)]
-            without = self.fit([one for one in effects if one is not effect]).values
-            for name in sorted(formula & fitted.values.keys() & without.keys()):
-                new, was = fitted.values[name], without[name].value
-                if new.value < 0.0 and new.value + Z95 * new.sd < was:
-                    fall = f"from {rounded(was)} to {rounded(new.value)}"
-                    remarks.append(
-                        f"{BESIDE} {name} of the base falls below nothing, {fall}: the two together are one curve, "
-                        "which something else that is missing may bend so"
-                    )
-            told.append(replace(effect, remark="; ".join(remarks)))
+            without = self.fit([one for one in effects if one is not effect]).values if below else {}
+            falls = [
+                f"beside it {name} of the base falls below nothing, from {rounded(without[name].value)} to "
+                f"{rounded(new.value)}: the two together are one curve, which something else that is missing may bend "
+                "so"
+                for name, new in below.items()
+                if name in without and new.value + Z95 * new.sd < without[name].value
+            ]
+            told.append(replace(effect, leans="; ".join(falls)))
         return tuple(told)
 
     def of_all_braking(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -326,7 +326,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         + (beyond_note(models.runs, heldout) if unseen_note(last) else "")
         + fed_note(last, battery, models.runs, heldout)
         + (straight_note(powers[f"+ {taken[-1].effect}"], models.runs, battery) if taken else "")
-        + "".join(f" {one.effect}: {one.remark}." for one in doubted if one.remark),
+        + "".join(f" {one.effect}: {one.doubt}." for one in doubted if one.doubt),
         untested=untested,
         base_alone=base_alone,
     )

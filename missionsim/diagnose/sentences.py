@@ -157,7 +157,7 @@ def sure(battery: BatteryDiagnosis) -> str:
         p = first.p_value
         odds = _one_in(1.0 / p) if p >= 1e-6 else "less than one case in a million"
         odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
-        if doubt := "see the runs not used" if worse(battery) else first.remark:
+        if doubt := "see the runs not used" if worse(battery) else first.doubt:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
         repeated = "repeated" in first.level
         runs = "with whole runs as the sample it is there too" if repeated else "runs alone are too few to show it"

@@ -145,7 +145,7 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     train, held = logs[:-count], logs[-count:]
     how = f"the last {what} of {len(logs)}"
     for name in sorted(set.intersection(*(set(log.columns) for log in logs))):
-        fitted, tested = ([set(_texts(log.columns[name])) for log in some] for some in (train, held))
+        fitted, tested = ([_texts(log.columns[name]) for log in some] for some in (train, held))
         of = set.union(*tested)
         if len(of) == 1 and 2 * sum(of == one for one in fitted) < len(fitted):
             how += f", all of {name} {next(iter(of))} as {sum(of == one for one in fitted)} of the fitted ones are"
@@ -153,9 +153,9 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     return Split(train, held, how)
 
 
-def _texts(column: object) -> list[str]:
-    """The texts of a label; empty for numbers."""
-    return column.texts().tolist() if isinstance(column, Labels) else []
+def _texts(column: object) -> set[str]:
+    """The texts that a label has, empty where it is missing; none for numbers."""
+    return {(*column.names, "")[code] for code in np.unique(column.codes)} if isinstance(column, Labels) else set()
 
 
 def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) -> Split:

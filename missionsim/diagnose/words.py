@@ -22,7 +22,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     left = battery.unexplained
     said = list(filter(None, [sentences.worse(battery)]))
     clear = [f for f in battery.effects if not f.indistinguishable_from]
-    said += [f"{sentences.missing(f)}; that {'may be' if f.remark else 'is'} {f.effect}." for f in clear]
+    said += [f"{sentences.missing(f)}; that {'may be' if f.doubt else 'is'} {f.effect}." for f in clear]
     for effect in battery.effects:
         if effect.indistinguishable_from:
             names = " or ".join((effect.effect, *effect.indistinguishable_from))
@@ -142,7 +142,7 @@ def found_line(effect: Finding) -> str:
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
     return (
         f"{effect.effect}: {_percent(effect.energy_share)} % of energy{interval}; {parameters_told(effect)}; "
-        f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.remark)}{effect.remark}"
+        f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
     )
 
 

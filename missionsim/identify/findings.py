@@ -90,6 +90,13 @@ class Finding:
     scheme: str = ""
     """For execution effects, the control scheme."""
     remark: str = ""
+    leans: str = ""
+    """What of the base falls below nothing beside it, in the fit that its numbers come from."""
+
+    @property
+    def doubt(self) -> str:
+        """Why the name is not sure, in words; empty where it is."""
+        return "; ".join(filter(None, (self.remark, self.leans)))
 
     def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
@@ -107,7 +114,7 @@ class Finding:
             "separation_nats": self.separation_nats,
             "absorbed_share": self.absorbed,
         }
-        return data | {name: text for name in ("scheme", "remark") if (text := getattr(self, name))}
+        return data | {name: text for name, text in (("scheme", self.scheme), ("remark", self.doubt)) if text}
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,7 @@ def test_beside_what_a_parameter_of_motion_falls_below_nothing_is_told_once(fall
     told = (replace(friction, remark="28 times"), floor)
     for _ in range(2):  # improve asks again once more is in
         told = Models.leaning(models, told, fit(told))
-    assert told[0].remark.count("beside it k1 of the base falls below nothing") == int(doubted)
-    assert told[0].remark.startswith("28 times")
-    assert "standing" not in told[0].remark
-    assert told[1].remark == ""
+    assert told[0].doubt.count("beside it k1 of the base falls below nothing") == int(doubted)
+    assert told[0].doubt.startswith("28 times")
+    assert "standing" not in told[0].doubt
+    assert told[1].doubt == ""

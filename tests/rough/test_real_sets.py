@@ -125,7 +125,7 @@ def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called
     split = split_of(shared / "data" / "husky_floors")
     made = calibrate_new(NewRobot("own", "k1*v + k0", mass="50 kg", drive="skid_steer"), split.train)
     found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
-    told = {effect.effect: effect.remark for effect in found.effects}
+    told = {effect.effect: effect.doubt for effect in found.effects}
     assert "k1 of the base falls below nothing" in told["viscous_friction"]
     assert "k1" not in told["surface_rolling_resistance"]
     assert "that may be viscous_friction" in headline(found)
