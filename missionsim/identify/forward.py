@@ -373,9 +373,7 @@ class _Search:
                 other = self.tried(number, option, rest)
                 if other is None or not other.passed["robust"] or self._nested(trial.columns, option):
                     continue
-                behind = other.left.square - trial.left.square
-                error = float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
-                if not behind.sum() < most * error:
+                if not other.left.within(trial.left, most):
                     continue
                 # whether it explains what the other in its place leaves over (Davidson and MacKinnon 1981)
                 again = self.tried(trial.candidate, trial.columns, [*rest, *option])

@@ -42,6 +42,11 @@ class Left:
         """Squared error of all folds together [W2 s]."""
         return float(self.square.sum())
 
+    def within(self, other: Left, most: float) -> bool:
+        """Whether it errs by less than so many standard errors of the paired difference more than another."""
+        behind = self.square - other.square
+        return bool(behind.sum() < most * float(np.std(behind, ddof=1)) * np.sqrt(len(behind)))
+
 
 @dataclass(frozen=True)
 class LeastSquares:

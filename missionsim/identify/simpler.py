@@ -150,12 +150,10 @@ def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> b
     with_it, without = squares.leave_out([*rest, *own]), squares.leave_out(rest)
     for i in range(len(design.phi), len(design.phi) + len(drifts)):
         other = squares.leave_out([*rest, i])
-        behind = other.square - with_it.square
-        unclear = behind.sum() < UNCLEAR * float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
         # most of what they explain is the drift's as well, and is not theirs beside it (Davidson and MacKinnon 1981)
         least = RIVAL_PART * (without.total - with_it.total)
         kept = other.total - squares.leave_out([*rest, *own, i]).total
-        if unclear and without.total - other.total > least > kept:
+        if other.within(with_it, UNCLEAR) and without.total - other.total > least > kept:
             return True
     return False
 
