@@ -87,9 +87,9 @@ class Others:
         )
         yaw = np.abs(yaw)
         loads = [np.nan_to_num(np.asarray(cov[name], dtype=float) + zero) for name in self.loads]
-        return np.column_stack(
-            [speed, speed**2, yaw, yaw**2, accel * speed, np.maximum(accel, 0.0) * speed, slope * speed, *loads]
-        )
+        carried = np.nan_to_num(np.asarray(cov["payload_kg"]) + zero) * speed if "payload_kg" in cov else zero
+        moved = [yaw, yaw**2, accel * speed, np.maximum(accel, 0.0) * speed, slope * speed, carried]
+        return np.column_stack([speed, speed**2, *moved, *loads])
 
     def centred(self, driven: Driven, rows: Array) -> tuple[Array, Array]:
         """Columns and measured less modelled power about their means at rest and in motion; (m, p) and (m,)."""

@@ -19,6 +19,9 @@ from missionsim.logs import Remark, read_logs
 from missionsim.runs.admit import admit, admit_to_test, copies, unchanging
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
+from tests.hidden_effects.study import ALL_CASES
+from tests.hidden_effects.world import make
+from tests.hidden_effects.world import write as write_world
 from tests.rough import regimes
 from tests.rough.world import WORLDS, write
 
@@ -354,3 +357,10 @@ def test_runs_on_a_floor_that_costs_more_have_no_offset_of_a_meter() -> None:
         power = power + ((0.3, 0.6, 2.5)[seed // 4] if floor == "snow" else 0.0)
         runs.append(replace(changed(run, speed_m_s=speed), power_w={"robot": power}))
     assert told(runs) == []
+
+
+@pytest.mark.parametrize(("case", "seed"), [("payload-10pct", 1012), ("payload-5pct-energy", 1010)])
+def test_a_run_that_carries_most_is_not_odd(case: str, seed: int, tmp_path: Path) -> None:
+    """What half of one run shows of a load is held against the run that carries one throughout."""
+    logs = write_world(make(ALL_CASES[case], seed), tmp_path) / "train"
+    assert told(read_logs([logs])) == []
