@@ -235,21 +235,13 @@ MAX_SIDE = 60
 FIRST_CELL_M = 0.0625
 
 
-@dataclass(frozen=True)
-class PlaceCell:
-    """Error within one square of the floor: its centre, width and sums."""
+@dataclass(frozen=True, kw_only=True)
+class PlaceCell(Bin):
+    """Error within one square of the floor, with its centre and width."""
 
     x_m: float
     y_m: float
     width_m: float
-    seconds: float
-    gap_j: float
-    square_w2s: float
-
-    @property
-    def value(self) -> str:
-        """Name of the cell, by its centre."""
-        return f"x {self.x_m:.4g} m, y {self.y_m:.4g} m".replace("-", "−")
 
 
 class PlaceGrid(_Sums):
@@ -285,12 +277,12 @@ class PlaceGrid(_Sums):
         keys = [f"{battery}:{what}" for what in ("seconds", "gap", "square")]
         cells, sums = _joined(self._cells // blocks, {key: self._of(key) for key in keys})
         width = self.width_m * blocks
-        rows = zip(cells.tolist(), *(sums[key].tolist() for key in keys), strict=True)
-        return [
-            PlaceCell((i + 0.5) * width, (j + 0.5) * width, width, seconds, gap, square)
-            for (i, j), seconds, gap, square in rows
-            if seconds > 0.0
-        ]
+        found = []
+        for at, *totals in zip(cells.tolist(), *(sums[key].tolist() for key in keys), strict=True):
+            x, y = ((number + 0.5) * width for number in at)
+            value = f"x {x:.4g} m, y {y:.4g} m".replace("-", "−")
+            found.append(PlaceCell(value, None, None, *totals, x_m=x, y_m=y, width_m=width))
+        return [cell for cell in found if cell.seconds > 0.0]
 
     def coarse_cells(self, battery: str, wanted: int = 8) -> list[PlaceCell]:
         """Cells so wide that about `wanted` by `wanted` cover the map."""

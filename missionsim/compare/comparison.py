@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import MissionGap
-from missionsim.compare.where import Dependence, Series, Where, in_words
+from missionsim.compare.where import Dependence, Series, Where, in_words, ranked
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of, sha256
 from missionsim.numerals import in_wh, watts
@@ -95,10 +95,7 @@ class BatteryComparison(RunError):
     @property
     def where(self) -> list[Where]:
         """Values of covariates, those that explain most of the error first."""
-        return sorted(
-            (where for dependence in self.dependences for where in dependence.values),
-            key=lambda where: (-where.explains, -where.share_of_squared_error, where.by, where.value),
-        )
+        return ranked(self.dependences)
 
     @property
     def gap_wh(self) -> dict[str, float | None]:

@@ -250,12 +250,17 @@ def dependences(sums: Accumulator, battery: str) -> list[Dependence]:
             found.append(_dependence(axis.name, axis.title, axis.unit, bins, fine))
     cells = sums.places.coarse_cells(battery)
     if len(cells) > 1:
-        bins = [Bin(cell.value, None, None, cell.seconds, cell.gap_j, cell.square_w2s) for cell in cells]
-        found.append(_dependence("place", "place on the map", "", bins, bins))
+        found.append(_dependence("place", "place on the map", "", cells, cells))
     return sorted(found, key=lambda dependence: (-dependence.explained, dependence.by))
 
 
-def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]) -> Dependence:
+def ranked(found: Sequence[Dependence]) -> list[Where]:
+    """Values of covariates, those that explain most of the error first."""
+    values = (where for dependence in found for where in dependence.values)
+    return sorted(values, key=lambda one: (-one.explains, -one.share_of_squared_error, one.by, one.value))
+
+
+def _dependence(by: str, title: str, unit: str, bins: Sequence[Bin], fine: Sequence[Bin]) -> Dependence:
     seconds = sum(one.seconds for one in bins)
     gap = sum(one.gap_j for one in bins)
     square = sum(one.square_w2s for one in bins)

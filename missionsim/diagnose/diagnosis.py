@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from missionsim.compare.where import WORTH_SAYING, Accumulator, Where, dependences, ranked
 from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
+from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import as_finding as as_law
@@ -22,29 +24,20 @@ from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
-from missionsim.identify.findings import (
-    BatteryDiagnosis,
-    Diagnosis,
-    Finding,
-    HeldOut,
-    Judged,
-    RunSeries,
-    Structure,
-    Where,
-)
+from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, Judged, RunSeries, Structure
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import ALPHA, Settings
 from missionsim.identify.verdict import decide
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
+from missionsim.runs.drive import drive
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
     from missionsim.runs.run import Run
 
 MOST_WHERE = 4
-WORTH_SAYING = 0.03
 MOST_SHIFTS = 4
 MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 STANDS_IN = "stood in for a law that the library does not hold"
@@ -65,31 +58,12 @@ def diagnose_files(
 ) -> Diagnosis:
     """Diagnose from files.
 
-    Parameters
-    ----------
-    robot : str or path
-        Shipped robot or file.
-    logs : sequence of str or path
-        Log files or folders.
-    holdout : optional
-        See `missionsim.diagnose.split.choose_split`.
-    mission : path, optional
-        The mission that every log is a drive of.
-    battery : str, optional
-        Only this one.
-    alpha : float
-        Family-wise rate of false alarms.
-    align : bool
-        Find and apply delay and lag of the meter behind the motion.
-    on_left_out : callable, optional
-        Called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`.
-    on_remark : callable, optional
-        Called with what no run can tell, see `missionsim.runs.admit.unchanging`.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For faults in any of the files, or where no battery can be diagnosed.
+    `robot`: shipped robot or file. `logs`: log files or folders. `holdout`: see
+    `missionsim.diagnose.split.choose_split`. `mission`: the mission that every log is a drive of. `battery`: only this
+    one. `alpha`: family-wise rate of false alarms. `align`: find and apply delay and lag of the meter behind the
+    motion. `on_left_out`: called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`;
+    `on_remark` with what no run can tell, see `missionsim.runs.admit.unchanging`. Raises InputError: for faults in any
+    of the files, or where no battery can be diagnosed.
     """
     from missionsim.inputs.loading import load_robot
 
@@ -119,19 +93,8 @@ def diagnose(
     battery: str | None = None,
     settings: Settings | None = None,
 ) -> Diagnosis:
-    """Diagnose every battery that the logs measure; see `diagnose_files`.
-
-    Parameters
-    ----------
-    subject : Subject
-    logs : sequence of Run, or Split
-        Runs, or what is fitted and what is held out of them.
-    holdout, battery
-        As for `diagnose_files`; of a split nothing else is held out.
-    timeline : Timeline, optional
-        The simulated mission.
-    settings : Settings, optional
-    """
+    """Diagnose every battery that the logs measure; see `diagnose_files`. `timeline`: the simulated mission; of a split
+    nothing else is held out."""
     settings = settings or Settings()
     split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.model)
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
@@ -251,7 +214,7 @@ def diagnose_battery(
             execution=execution,
             runs=tuple(run.run for run in features.runs),
             seconds=sum(log.duration_s for log in split.train if log.run in {run.run for run in features.runs}),
-            where=_where(subject, split, battery),
+            where=_where(models),
             series=series,
             clock=found.choice.model.clock,
             aligned=source.aligned,
@@ -299,11 +262,10 @@ def _beside_law(effect: Finding, laws: Sequence[Proposal], candidates: Sequence[
     return f"a law of {plain(shared[0])} explains beside it what that effect cannot" if shared else effect.remark
 
 
-def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
-    from missionsim.compare import compare
-
-    result = compare(subject.model, list(split.train))
-    if battery not in result.batteries:
-        return ()
-    told = [w for w in result.batteries[battery].where if w.explains > WORTH_SAYING][:MOST_WHERE]
-    return tuple(Where(w.title, f"{w.value} {w.unit}".strip(), w.share_of_squared_error, w.bias_w) for w in told)
+def _where(models: Models) -> tuple[Where, ...]:
+    """Conditions in which the file as it is errs most in the fitted runs."""
+    sums = Accumulator()
+    for run in models.runs:
+        sums.add(run.run, drive(models.power, run, models.battery))
+    found = ranked(dependences(sums, models.battery))
+    return tuple(where for where in found if where.explains > WORTH_SAYING)[:MOST_WHERE]

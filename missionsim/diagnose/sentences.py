@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
-from missionsim.identify.proposed import QUANTITY, Proposal, state
+from missionsim.identify.proposed import Proposal, plain, state
 from missionsim.numerals import rounded, watts
 
 _SUBJECT = {
@@ -138,8 +138,7 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     if name in ("time_s", "moving_time_s"):
         fades = "exp(-moving_time_s" in formula
         return ("at first" if fades else "the longer the run lasts") if beside else "the time since the start"
-    word = QUANTITY.get(name, (name, ""))[0]
-    return f"with {word}" if beside else word
+    return f"with {plain(name)}" if beside else plain(name)
 
 
 def _one_in(count: float) -> str:
@@ -165,7 +164,7 @@ def sure(battery: BatteryDiagnosis) -> str:
     if not battery.proposed_laws:
         return ""
     one = battery.proposed_laws[0]
-    certain, possible = (_listed([QUANTITY.get(n, (n, ""))[0] for n in names]) for names in (one.certain, one.possible))
+    certain, possible = (_listed([*map(plain, names)]) for names in (one.certain, one.possible))
     told = f"It depends on {certain}" if certain else "On what it depends is open"
     told += f", perhaps on {possible}" if possible else ""
     form = "its form is an approximation within the band"

@@ -71,8 +71,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     lines = [
         (
             "WHERE",
-            f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
-            f"{watts(where.bias_w, 2, sign=True)} against the meter",
+            f"{where.title} {f'{where.value} {where.unit}'.strip()}: {100 * where.share_of_squared_error:.0f} % of the "
+            f"squared error, model {watts(where.bias_w, 2, sign=True)} against the meter",
         )
         for where in battery.where
     ]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import Columns, Labels, Value, is_clock, is_text
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.physics import Array
-from missionsim.physics.lag import GOES_ON, SETTLED, Lagged
+from missionsim.physics.lag import GOES_ON, SETTLED, Lagged, halving_helps
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,6 @@ class Lazily(Mapping[str, Any]):
 
 
 RELATIVE_TOLERANCE = 1e-11
-_MAX_DEPTH = 40
-_NOISE_DEPTH, _MOST_PIECES = 9, 4096
 
 # Gauss–Kronrod nodes and weights on [-1, 1], 7 and 15 points (Kronrod 1965; QUADPACK, Piessens et al. 1983)
 _NODES = np.array([
@@ -329,8 +327,7 @@ def _quadrature(
                     spread += apart
                     bent += beyond
             bad |= (spread > RELATIVE_TOLERANCE * scale) | (bent > RELATIVE_TOLERANCE * scale)
-        # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
-        if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
+        if not halving_helps(depth, index.size, len(timeline)):
             bad[:] = False
         good = ~bad
         for key, joules in parts.items():

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.physics import Array
+from missionsim.physics.lag import halving_helps
 
 Sample = Callable[[NDArray[np.intp], Array], Array]
 """``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
 _NODES = 16
-_MAX_DEPTH, _NOISE_DEPTH, _MOST_PIECES = 30, 9, 4096
 _ROUNDING = 1e-16
 ROOT_TOLERANCE_S = 1e-9
 
@@ -39,8 +39,7 @@ def interpolants(
         series = sample(index, (low + half)[:, None] + half[:, None] * nodes) @ matrix * weights
         size = np.abs(series).max(axis=1)
         bad = np.abs(series[:, -3:]).max(axis=1) > tolerance * size
-        # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
-        if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * count)):
+        if not halving_helps(depth, index.size, count):
             bad[:] = False
         good = np.flatnonzero(~bad)
         kept = _NODES - np.argmax(np.abs(series[good, ::-1]) > _ROUNDING * size[good, None], axis=1)

@@ -93,21 +93,27 @@ def block_numbers(model: Model, length_s: float) -> Numbers:
 
 
 def evidence_of(model: Model, column: int) -> Evidence:
-    """Evidence for `column`, which is in `model`, given the rest of the model; no gate is asked yet.
+    """Evidence for `column`, which is in `model`, given the rest of the model; no gate is asked yet."""
+    gain = float(single_gains(model.gram, model.constraints, [c for c in model.chosen if c != column])[column])
+    share, sd, block_p, _, run_p = robust(model, column)
+    return Evidence(column=column, gain=gain, share=share, share_sd=sd, p_robust=block_p, p_runs=run_p, passed={})
 
-    Its share has a cluster-robust standard error (CRV3). The priors' pseudo-rows enter as known variance, not as
-    jackknife blocks: left out one at a time they would count as if the prior could be wrong by all of itself.
+
+def robust(model: Model, column: int) -> tuple[float, float, float, float, float]:
+    """Share of a column that is in `model`, and its cluster-robust standard error (CRV3) and p-value, by blocks and by
+    runs (of fewer than three: infinite, and NaN).
+
+    The priors' pseudo-rows enter as known variance, not as jackknife blocks: left out one at a time they would count as
+    if the prior could be wrong by all of itself.
     """
     from scipy.special import stdtr
 
-    design = model.design
-    others = [c for c in model.chosen if c != column]
-    gain = float(single_gains(model.gram, model.constraints, others)[column])
+    design, others = model.design, [c for c in model.chosen if c != column]
     rows = np.vstack([design.residual, design.phi[column]])
     p = project(design, model.noise, rows, others)
     x, x_pseudo = p.rows[1], p.pseudo[1]
     info = float(x @ x + x_pseudo @ x_pseudo)
-    share, sd, block_p, run_p = 0.0, np.inf, 1.0, float("nan")
+    share, sd, block_p, run_sd, run_p = 0.0, np.inf, 1.0, np.inf, float("nan")
     if info > 0:
         share = float(x @ p.rows[0] + x_pseudo @ p.pseudo[0]) / info
         e = p.rows[0] - share * x
@@ -123,7 +129,7 @@ def evidence_of(model: Model, column: int) -> Evidence:
             run_sd, leverage, _ = _jackknife(x, e, design.run_index(), info, known)
             freedom = max(1.5, float(leverage.sum() ** 2 / (leverage @ leverage)) - 1.0)
             run_p = float(2.0 * stdtr(freedom, -abs(share) / max(run_sd, 1e-300)))
-    return Evidence(column=column, gain=gain, share=share, share_sd=sd, p_robust=block_p, p_runs=run_p, passed={})
+    return share, sd, block_p, run_sd, run_p
 
 
 def _jackknife(x: Array, e: Array, cluster: Numbers, info: float, known: float) -> tuple[float, Array, Array]:
@@ -151,15 +157,8 @@ def _chance_of_jackknife(t: float, leverage: Array, inflation: Array, known: flo
 
 
 def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float]:
-    """Whether runs left out of a least-squares fit are predicted better with some columns than without them.
-
-    Returns
-    -------
-    bool
-        Whether their squared power error is smaller.
-    float
-        One-sided p-value, over runs, of "their energy error is hardly larger".
-    """
+    """Whether the squared power error of runs left out of a least-squares fit is smaller with some columns than without
+    them; one-sided p-value, over runs, of "their energy error is hardly larger"."""
     squares = LeastSquares.of(model.design)
     rest = [c for c in model.chosen if c not in columns]
     with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)

@@ -11,6 +11,7 @@ from missionsim.identify.proposed import Proposal, Record
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
+    from missionsim.compare.where import Where
     from missionsim.identify.align import Clock
 
 
@@ -194,16 +195,6 @@ class HeldOut(Record):
     RMS of the power error at the analysis rate."""
     shifted: bool = False
     """Whether the runs differ in kind from the fitted ones."""
-
-
-@dataclass(frozen=True)
-class Where:
-    """A condition and its share of the squared error of the model as it is."""
-
-    by: str
-    value: str
-    share: float
-    bias_w: float
 
 
 @dataclass(frozen=True)

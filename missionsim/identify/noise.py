@@ -353,7 +353,7 @@ def edge_variance(design: Design, noise: Noise, scale: Array) -> tuple[Array, Ar
 
 
 def mean_variance(noise: Mapping[str, float], seconds: float) -> float:
-    """Variance of the mean of the noise over a run, relative to that of single rows.
+    """Variance of the mean of the noise over some time, relative to that of single rows.
 
     ``2 τ/T (1 − τ/T (1 − exp(−T/τ)))`` for each of its two parts of correlation time τ; white noise averages out.
     """

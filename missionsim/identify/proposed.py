@@ -8,45 +8,35 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import ClassVar
 
 from missionsim.files import Json
+from missionsim.glossary import column_of
 from missionsim.numerals import rounded
+from missionsim.runs.covariates import known
 
 CLOCKS = frozenset({"time_s", "moving_time_s"})
 """Quantities that pass whatever the robot does: what else rises through a run looks like them."""
 FAR_BETTER = 2.0 / 3.0
 """Part of the left-out error that a law may leave where it takes the place of effects in a base that is far off."""
-QUANTITY = {
-    "speed_m_s": ("speed", "m/s"),
-    "yaw_rate_rad_s": ("turn rate", "rad/s"),
-    "accel_m_s2": ("acceleration", "m/s²"),
-    "lateral_speed_m_s": ("sideways speed", "m/s"),
-    "slope_rad": ("slope", "rad"),
-    "payload_kg": ("payload", "kg"),
-    "temp_ambient_c": ("ambient temperature", "°C"),
-    "temp_motor_c": ("motor temperature", "°C"),
-    "cpu_load": ("processor load", ""),
-    "cpu_freq_hz": ("processor clock", "Hz"),
-    "access_point_distance_m": ("distance to the access point", "m"),
-    "time_s": ("time since the start", "s"),
-    "moving_time_s": ("time spent moving", "s"),
-    "surface": ("floor", ""),
-    "scheme": ("control scheme", ""),
-}
-"""How people call a quantity, and its unit."""
 
 
 def plain(name: str) -> str:
     """A quantity in words."""
-    if name in QUANTITY:
-        return QUANTITY[name][0]
+    if name == "time_s":
+        return "time since the start"
     if name.startswith("on_time_"):
         return f"time since {name[8:-2].replace('_', ' ')} was switched on"
-    return f"{name[3:]} being on" if name.startswith("on_") else name
+    return f"{name[3:]} being on" if name.startswith("on_") else known(name).word or known(name).title
+
+
+def unit_of(name: str) -> str:
+    """Unit of a quantity for people; empty of a plain number, and of what the glossary does not hold."""
+    column = column_of(name)
+    unit = column[0].unit if column is not None else known(name).unit
+    return {"1": "", "degC": "°C"}.get(unit, unit.replace("^2", "²"))
 
 
 def state(name: str, value: float | str) -> str:
     """``speed 0.47 m/s``: a quantity and its value."""
-    word, unit = QUANTITY.get(name, (name, ""))
-    return f"{word} {value if isinstance(value, str) else rounded(value, 2)} {unit}".strip()
+    return f"{plain(name)} {value if isinstance(value, str) else rounded(value, 2)} {unit_of(name)}".strip()
 
 
 class Record:

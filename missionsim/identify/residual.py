@@ -12,7 +12,8 @@ from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import innovations, project, random_effects
 from missionsim.identify.model import Model, log_likelihood
-from missionsim.identify.proposed import QUANTITY, plain
+from missionsim.identify.noise import mean_variance
+from missionsim.identify.proposed import plain, unit_of
 from missionsim.identify.settings import (
     CURVE_LEVEL,
     CURVE_NATS,
@@ -188,8 +189,7 @@ def _words(name: str, times: str, knots: Array, values: Array) -> str:
         return what
     curve = np.append(0.0, values)
     top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
-    unit = QUANTITY.get(name, ("", ""))[1]
-    lowest, highest = (f"{rounded(knots[i])} {unit}".strip() for i in (bottom, top))
+    lowest, highest = (f"{rounded(knots[i])} {unit_of(name)}".strip() for i in (bottom, top))
     return f"{what}: lowest at {lowest}, highest at {highest}"
 
 
@@ -245,13 +245,8 @@ def low_frequency_noise(model: Model) -> Structure | None:
 
     Without this, the correlated noise of the model would take up in silence whatever is unknown.
     """
-    noise = model.noise
-    variance = 0.0
-    # variance of the mean of an AR(1) process over the window, part by part
-    for time_s, share in ((noise.fast_s, noise.fast_share), (noise.slow_s, noise.slow_share)):
-        x = SLOW_NOISE_S / time_s
-        variance += share * 2.0 / x * (1.0 - (1.0 - np.exp(-x)) / x)
-    size = float(noise.total_sd_w * np.sqrt(variance) / model.design.layout.mean_power_w)
+    variance = mean_variance(vars(model.noise), SLOW_NOISE_S)
+    size = float(model.noise.total_sd_w * np.sqrt(variance) / model.design.layout.mean_power_w)
     if size < SLOW_NOISE:
         return None
     words = (

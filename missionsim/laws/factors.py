@@ -20,7 +20,7 @@ from missionsim.labels import Labels
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.physics import Array
 from missionsim.physics.lag import lagged
-from missionsim.runs.covariates import may_be_cause
+from missionsim.runs.covariates import COVARIATES, may_be_cause
 
 MOST_LEVELS = 6
 MOST_FURTHER = 6
@@ -40,23 +40,7 @@ EVENLY = 15
 """Thresholds between the lowest and the highest value that the runs hold."""
 NOISE_PART = 0.1
 """A quantity that falls below zero by less than this part of its highest value is noise about zero."""
-SYMBOLS = {
-    "speed_m_s": "v",
-    "yaw_rate_rad_s": "ω",
-    "lateral_speed_m_s": "u",
-    "accel_m_s2": "a",
-    "slope_rad": "θ",
-    "payload_kg": "payload",
-    "temp_ambient_c": "T",
-    "temp_motor_c": "T_motor",
-    "cpu_load": "load",
-    "cpu_freq_hz": "f",
-    "access_point_distance_m": "d",
-    "time_s": "t",
-    "moving_time_s": "t_moving",
-}
-
-
+SYMBOLS = {name: one.symbol for name, one in COVARIATES.items() if one.symbol} | {"time_s": "t"}
 _compiled = lru_cache(maxsize=4096)(compile_expression)
 """Every run asks for the same formulas."""
 

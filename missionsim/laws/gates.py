@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.identify.gram import Gram, project
+from missionsim.identify.evidence import robust
+from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
 from missionsim.identify.settings import SEVERAL_RUNS
 from missionsim.identify.simpler import drifts_as_well
@@ -43,12 +44,12 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
     `clock`: whether the law reads a clock, which any wander of half the runs looks like.
     """
     model = fitted.model
-    share, sd = _robust(model, fitted.column, model.constraints.settings.block_s)
+    share, sd, _, run_sd, _ = robust(model, fitted.column)
     least, runs = LEAST_BETTER, 0
     if model.squares is not None:
         # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s
         if len(model.design.runs) > SEVERAL_RUNS:
-            sd, runs = max(sd, _robust(model, fitted.column, math.inf)[1]), SEVERAL_RUNS
+            sd, runs = max(sd, run_sd), SEVERAL_RUNS
         else:  # two runs know little of a product of three: what it says of other runs is a guess
             least, runs = FEW_BETTER, len(fitted.form)
     z = abs(share) / max(sd, 1e-300)
@@ -64,25 +65,6 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
         "no drift": not drifts_as_well(model.design, model.chosen[-1:], model.chosen[:-1]),
     }
     return Gates(sd, passed)
-
-
-def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:
-    """Share of a column and its standard error from blocks left out one at a time."""
-    design = model.design
-    others = tuple(k for k in model.chosen if k != column)
-    p = project(design, model.noise, np.vstack([design.residual, design.phi[column]]), others)
-    y, x = p.rows
-    info = float(x @ x + p.pseudo[1] @ p.pseudo[1])
-    share = float(x @ y + p.pseudo[1] @ p.pseudo[0]) / max(info, 1e-300)
-    block_s = max(block_s, 10.0 * design.layout.step_s)
-    run = design.run_index()
-    own = np.floor(design.time_s / block_s).astype(np.int64)
-    block = np.unique(run * (int(own.max()) + 1) + own, return_inverse=True)[1]
-    score = np.bincount(block, weights=x * (y - share * x))
-    leverage = np.minimum(np.bincount(block, weights=x * x) / max(info, 1e-300), 0.95)
-    known = float(p.pseudo[1] @ p.pseudo[1])
-    sd = float(np.sqrt(np.sum((score / (1.0 - leverage)) ** 2) + known)) / max(info, 1e-300)
-    return share, max(sd, 1.0 / math.sqrt(max(info, 1e-300)))
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,12 @@ TOLERANCE = 1e-12
 _MAX_DEPTH, _NOISE_DEPTH, _MOST_PIECES = 40, 9, 4096
 
 
+def halving_helps(depth: int, pieces: int, intervals: int) -> bool:
+    """Whether pieces of intervals may be halved once more: a jump needs one piece a level; where pieces go on
+    multiplying, it is noise that no halving resolves."""
+    return depth < _MAX_DEPTH and (depth < _NOISE_DEPTH or pieces <= max(_MOST_PIECES, 8 * intervals))
+
+
 def carried(keep: Array, taken: Array) -> Array:
     """``y[n] = keep[n] y[n − 1] + taken[n]`` over the last axis of `taken`; `keep` (shape (n,)) begins with 0."""
     found, keep, reach = taken.copy(), keep.copy(), 1
@@ -90,8 +96,7 @@ class Lagged:
             inner, between = x[:, :_COUNT], x[:, _COUNT:]
             largest = largest or float(np.max(np.abs(x), initial=0.0, where=np.isfinite(x)))
             bad = np.abs(inner @ _TO_BETWEEN - between).max(axis=1) > TOLERANCE * largest
-            # a jump needs one piece a level; where pieces go on multiplying, it is noise that no halving resolves
-            if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and rows.size > max(_MOST_PIECES, 8 * len(length_s))):
+            if not halving_helps(depth, rows.size, len(length_s)):
                 bad[:] = False
             made.append((rows[~bad], low[~bad], long[~bad], *(inner[~bad] @ _COEFFICIENTS).T))
             rows, low, long, depth = rows[bad], low[bad], 0.5 * long[bad], depth + 1

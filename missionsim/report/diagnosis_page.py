@@ -13,7 +13,7 @@ from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.sentences import Asked
 from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
-from missionsim.identify.proposed import QUANTITY, state
+from missionsim.identify.proposed import plain, state, unit_of
 from missionsim.numerals import rounded, watts
 from missionsim.report import page as web
 
@@ -97,7 +97,7 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
     for law in battery.proposed_laws:
         curve = law.curve
         if curve is not None:
-            word, unit = QUANTITY.get(curve.variable, (curve.variable, curve.unit))
+            word, unit = plain(curve.variable), unit_of(curve.variable)
             fixed = ", ".join(state(n, v) for n, v in curve.at.items())
             hover = "%{x:.3g}: %{y:.3g} W<extra></extra>"
             traces = [

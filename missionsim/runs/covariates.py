@@ -40,28 +40,34 @@ class Covariate:
     text: bool = False
     shown: bool = True
     """Whether the error is looked at along it."""
+    word: str = ""
+    """In a sentence, where that is not its title."""
+    symbol: str = ""
+    """In a law."""
 
 
 _ALL = (
-    Covariate("speed_m_s", "speed", "m/s"),
-    Covariate("yaw_rate_rad_s", "yaw rate (magnitude)", "rad/s", magnitude=True, assumed="the robot drives straight"),
-    Covariate("accel_m_s2", "acceleration", "m/s²", ramps=True, follows="speed_m_s"),
-    Covariate("lateral_speed_m_s", "sideways speed (magnitude)", "m/s", magnitude=True,
-              assumed="the robot does not move sideways"),
+    Covariate("speed_m_s", "speed", "m/s", symbol="v"),
+    Covariate("yaw_rate_rad_s", "yaw rate (magnitude)", "rad/s", magnitude=True, assumed="the robot drives straight",
+              word="turn rate", symbol="ω"),
+    Covariate("accel_m_s2", "acceleration", "m/s²", ramps=True, follows="speed_m_s", symbol="a"),
+    Covariate("lateral_speed_m_s", "sideways speed (magnitude)", "m/s", magnitude=True, word="sideways speed",
+              symbol="u", assumed="the robot does not move sideways"),
     Covariate("slope_rad", "slope", "°", 180.0 / math.pi, multiplies_speed=True, noisy_form=True,
-              assumed="the ground is level"),
-    Covariate("payload_kg", "payload", "kg", multiplies_speed=True, assumed="nothing is carried"),
-    Covariate("temp_ambient_c", "ambient temperature", "°C", multiplies_speed=True),
-    Covariate("temp_motor_c", "motor temperature", "°C", multiplies_speed=True),
-    Covariate("cpu_load", "processor load"),
-    Covariate("cpu_freq_hz", "processor clock", "GHz", 1e-9),
-    Covariate("access_point_distance_m", "distance to the access point", "m"),
-    Covariate("surface", "surface", text=True),
+              assumed="the ground is level", symbol="θ"),
+    Covariate("payload_kg", "payload", "kg", multiplies_speed=True, assumed="nothing is carried", symbol="payload"),
+    Covariate("temp_ambient_c", "ambient temperature", "°C", multiplies_speed=True, symbol="T"),
+    Covariate("temp_motor_c", "motor temperature", "°C", multiplies_speed=True, symbol="T_motor"),
+    Covariate("cpu_load", "processor load", symbol="load"),
+    Covariate("cpu_freq_hz", "processor clock", "GHz", 1e-9, symbol="f"),
+    Covariate("access_point_distance_m", "distance to the access point", "m", symbol="d"),
+    Covariate("surface", "surface", text=True, word="floor"),
     Covariate("scheme", "control scheme", text=True),
     Covariate("navigation", "navigation", text=True),
     Covariate("segment", "segment", text=True),
     Covariate("heading_rad", "heading", "rad", shown=False),
-    Covariate("moving_time_s", "time driven", "s", follows="speed_m_s", shown=False),
+    Covariate("moving_time_s", "time driven", "s", follows="speed_m_s", shown=False, word="time spent moving",
+              symbol="t_moving"),
     Covariate("starts", "starts from rest", follows="speed_m_s", shown=False),
 )  # fmt: skip
 COVARIATES = {one.name: one for one in _ALL}

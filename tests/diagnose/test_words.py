@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from missionsim.compare import Where
 from missionsim.diagnose import sentences, words
 from missionsim.files import to_json
 from missionsim.identify.findings import (
@@ -20,11 +21,16 @@ from missionsim.identify.findings import (
     Judged,
     Recalibrated,
     Unexplained,
-    Where,
 )
 from missionsim.report.diagnosis_page import diagnosis_page, diagnosis_sections
 from missionsim.report.page import Chart
 
+WHERE = Where(
+    **{"by": "slope_rad", "title": "slope", "unit": "°", "value": "2 to 4", "low": 2.0, "high": 4.0},
+    **{"share_of_gap": 0.5, "share_of_squared_error": 0.4, "gap_wh": 0.1, "explains": 0.3},
+    bias_w=-1.5,
+    seconds=60.0,
+)
 GRADE = Finding(
     effect="grade",
     parameters={"k": Estimate(0.98, 0.95, 1.01)},
@@ -85,7 +91,7 @@ BATTERY = BatteryDiagnosis(
     runs=("run_00",),
     seconds=420.0,
     remarks=(),
-    where=(Where("slope", "2 to 4 °", 0.4, -1.5),),
+    where=(WHERE,),
 )
 
 

@@ -108,7 +108,7 @@ def test_a_law_that_a_drift_over_the_runs_explains_as_well_is_none(
     monkeypatch: pytest.MonkeyPatch, drifts: bool
 ) -> None:
     """Where payload is no longer named in the place of a drift, k·|v|·payload would be added to the file."""
-    monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
+    monkeypatch.setattr(gates, "robust", lambda *_: (0.1, 0.005, 0.0, 0.005, 0.0))
     monkeypatch.setattr(gates, "drifts_as_well", lambda _, law, others: drifts and (law, others) == ((1,), (0,)))
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=8, acting=8)
     law = SimpleNamespace(model=model_of(False, 8), column=1, errors=errors, rise=80.0, penalty=5.0, form=(0,))
@@ -124,7 +124,7 @@ def test_a_law_that_a_drift_over_the_runs_explains_as_well_is_none(
 def test_far_from_right_a_product_of_three_needs_three_runs_in_which_it_acts(
     monkeypatch: pytest.MonkeyPatch, far: bool, factors: int, acting: int, held: bool
 ) -> None:
-    monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
+    monkeypatch.setattr(gates, "robust", lambda *_: (0.1, 0.005, 0.0, 0.005, 0.0))
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=acting, acting=acting)
     model = model_of(far, acting)
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=tuple(range(factors)))
@@ -138,7 +138,7 @@ def test_far_from_right_whole_runs_are_the_sample_where_they_are_several(
     monkeypatch: pytest.MonkeyPatch, far: bool, runs: int, held: bool
 ) -> None:
     """Twenty standard errors over blocks of time, and two over runs, whose floors and loads differ."""
-    monkeypatch.setattr(gates, "_robust", lambda _, __, block_s: (0.1, 0.05 if np.isinf(block_s) else 0.005))
+    monkeypatch.setattr(gates, "robust", lambda *_: (0.1, 0.005, 0.0, 0.05, 0.0))
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=runs, acting=runs)
     model = model_of(far, runs)
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=(0,))
@@ -149,7 +149,7 @@ def test_far_from_right_whole_runs_are_the_sample_where_they_are_several(
 def test_a_clock_must_help_in_three_runs_of_four(
     monkeypatch: pytest.MonkeyPatch, better: int, clock: bool, held: bool
 ) -> None:
-    monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
+    monkeypatch.setattr(gates, "robust", lambda *_: (0.1, 0.005, 0.0, 0.005, 0.0))
     model = model_of(False, 8)
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=better, acting=8)
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=(0,))
@@ -276,7 +276,7 @@ def test_what_stood_in_for_a_law_goes(
 def test_a_law_is_large_enough_and_predicts_the_runs_left_out(
     monkeypatch: pytest.MonkeyPatch, far: bool, runs: int, share: float, ratio: float, rise: float, refused: set[str]
 ) -> None:
-    monkeypatch.setattr(gates, "_robust", lambda *_: (share, 1e-4))
+    monkeypatch.setattr(gates, "robust", lambda *_: (share, 1e-4, 0.0, 1e-4, 0.0))
     errors = gates.LeftOut(1.0, ratio, 1.0, 1.0, runs, runs, (ratio,) * runs)
     model = model_of(far, runs)
     law = SimpleNamespace(model=model, column=0, errors=errors, form=(0, 1), rise=rise, penalty=9.0)
