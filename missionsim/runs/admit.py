@@ -66,13 +66,21 @@ def odd_runs(runs: Sequence[Run], model: PowerModel, *, units_only: bool = False
             continue
         left = [one for one in driven if one.run.run not in {*found, *doubtful, *apart}]
         if len(left) >= FEWEST_LEVELS:
-            others = Others(left, battery)
-            told = runs_beside(others, model)
-            doubtful |= {name: why for name, why in offsets(others).items() if name not in told}
+            told, beside = _beside(Others(left, battery), model)
+            if told or beside:  # what a load costs in other runs excuses a run, and accuses none
+                odd = {name for one in _beside(Others(left, battery, carried=True), model) for name in one}
+                told, beside = ({n: why for n, why in one.items() if n in odd} for one in (told, beside))
+            doubtful |= beside
             found |= told
         usual = [run for run in own if run.run not in {*found, *doubtful}]
         found |= {run.run: doubtful[run.run] for run in own if run.run in doubtful and not beyond(run, usual)}
     return apart | (found if len(found) < 0.5 * len(runs) else {})
+
+
+def _beside(others: Others, model: PowerModel) -> tuple[dict[str, str], dict[str, str]]:
+    """Runs that do not follow the others by a fault that explains it; those that lie beside them by an offset."""
+    told = runs_beside(others, model)
+    return told, {name: why for name, why in offsets(others).items() if name not in told}
 
 
 def _of_another_time(runs: Sequence[Driven], battery: str) -> dict[str, str]:

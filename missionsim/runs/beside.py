@@ -45,10 +45,11 @@ ROWS = 4000
 
 
 class Others:
-    """What the other runs say of each: a regression of measured less modelled power, within runs."""
+    """What the other runs say of each: a regression of measured less modelled power, within runs; on what is `carried`
+    as well if asked."""
 
-    def __init__(self, runs: Sequence[Driven], battery: str) -> None:
-        self.runs, self.battery = runs, battery
+    def __init__(self, runs: Sequence[Driven], battery: str, *, carried: bool = False) -> None:
+        self.runs, self.battery, self.carried = runs, battery, carried
         shared = set.intersection(*({*one.run.columns} for one in runs))
         self.loads = sorted(
             name
@@ -87,9 +88,11 @@ class Others:
         )
         yaw = np.abs(yaw)
         loads = [np.nan_to_num(np.asarray(cov[name], dtype=float) + zero) for name in self.loads]
-        carried = np.nan_to_num(np.asarray(cov["payload_kg"]) + zero) * speed if "payload_kg" in cov else zero
-        moved = [yaw, yaw**2, accel * speed, np.maximum(accel, 0.0) * speed, slope * speed, carried]
-        return np.column_stack([speed, speed**2, *moved, *loads])
+        if self.carried and "payload_kg" in cov:
+            loads.append(np.nan_to_num(np.asarray(cov["payload_kg"]) + zero) * speed)
+        return np.column_stack(
+            [speed, speed**2, yaw, yaw**2, accel * speed, np.maximum(accel, 0.0) * speed, slope * speed, *loads]
+        )
 
     def centred(self, driven: Driven, rows: Array) -> tuple[Array, Array]:
         """Columns and measured less modelled power about their means at rest and in motion; (m, p) and (m,)."""
