@@ -18,7 +18,7 @@ from missionsim.identify.forward import Choice
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
-from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
+from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import Remains, demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead
@@ -246,7 +246,8 @@ def _unexplained(
     made = sum((s.size_share * model.design.layout.mean_power_w) ** 2 for s in structures)
     share = min(1.0, made / max(variance, 1e-300))
     on = tuple(dict.fromkeys(s.covariate for s in structures if s.covariate)) if depends else ()
-    told = "; ".join(dict.fromkeys(s.shape for s in (*averages, *structures)))  # of a label one for each level
+    rare = peaks(left, model.design.duration_s)
+    told = "; ".join(filter(None, (*dict.fromkeys(s.shape for s in (*averages, *structures)), rare)))  # levels once
     return Unexplained(float(share), on, told, (*averages, *structures))
 
 

@@ -19,6 +19,7 @@ from missionsim.identify.settings import (
     CURVE_NATS,
     CURVE_NATS_ON_RAMPS,
     FEWEST_HATS,
+    FEWEST_PEAKS,
     FORM_FAINT,
     FORM_LEVEL,
     FORM_NATS,
@@ -31,11 +32,13 @@ from missionsim.identify.settings import (
     LINE_RATIO,
     LONG_BLOCK_S,
     ODDS_NATS,
+    PEAKS,
     PERIODIC_LEVEL,
     RAMP,
     RAMP_FORM_RATIO,
     RAMP_TAIL_ROWS,
     RAMP_WEIGHT,
+    RARE_TIME,
     SEVERAL_RUNS,
     SLOW_NOISE,
     SLOW_NOISE_S,
@@ -45,7 +48,7 @@ from missionsim.identify.settings import (
     UNUSUAL_GAIN,
     USUAL_GAIN,
 )
-from missionsim.numerals import rounded
+from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import known
 
@@ -254,6 +257,21 @@ def low_frequency_noise(model: Model) -> Structure | None:
         "does: a load that comes and goes, or a state that no column shows"
     )
     return Structure("time_s", 0.0, 0.0, size, words)
+
+
+def peaks(left_w: Array, seconds: Array) -> str:
+    """In words, that few rows hold most of what is left of the power [W], which no curve over a column shows; empty
+    where they do not. Both of shape (n,), with the time that each row stands for."""
+    order = np.argsort(-np.abs(left_w))
+    square, time = np.cumsum((left_w**2 * seconds)[order]), np.cumsum(seconds[order])
+    rare = int(np.searchsorted(time, RARE_TIME * time[-1], side="right"))
+    if rare < FEWEST_PEAKS or not square[rare - 1] > PEAKS * square[-1]:
+        return ""
+    size_w = float(np.sqrt(np.average(left_w[order[:rare]] ** 2, weights=seconds[order[:rare]])))
+    return (
+        f"peaks of about {watts(size_w, 2)} hold {100 * square[rare - 1] / square[-1]:.0f} % of the squared error in "
+        f"{100 * RARE_TIME:.0f} % of the time, and no column says when: starts between two rows, or faulty readings"
+    )
 
 
 def wrong_form(model: Model, column: int) -> Structure | None:

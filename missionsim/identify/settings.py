@@ -282,6 +282,9 @@ MOST_OF_SQUARE = 0.5
 """Part of the squared error that a kind of motion must hold to be told."""
 SMALL_TIME = 0.25
 """Part of the time that it may take at most: more is the ordinary error of the model."""
+RARE_TIME, PEAKS, FEWEST_PEAKS = 0.02, 0.6, 5
+"""Part of the time, the part of the squared error that is left which its rows must hold to be told as peaks, and how
+many there must be (assumed; of normal noise it is 0.15, of Student's with three degrees of freedom 0.44)."""
 MOTION_SECONDS = 5.0
 """Time in a kind of motion below which a run says nothing of it [s]."""
 CLEAR_T = 5.0

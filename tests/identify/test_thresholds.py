@@ -220,3 +220,15 @@ def test_a_factor_may_lie_between_a_meter_and_a_file_with_priors(ratio: float, p
     run = SimpleNamespace(dt_s=np.ones(4), measured_w=np.array([ratio, ratio, ratio, np.nan]), base_w=np.ones(4))
     layout = SimpleNamespace(parameters=("c2",), prior_sd=np.array([prior, 9.0]))
     assert simpler.may_differ(SimpleNamespace(layout=layout, runs=[run])) is may
+
+
+@pytest.mark.parametrize(
+    ("rows", "size_w", "told"),
+    [(0, 0.0, False), (20, 7.0, False), (20, 20.0, True), (4, 90.0, False), (60, 20.0, False)],
+)
+def test_peaks_in_little_of_the_time(rows: int, size_w: float, told: bool) -> None:
+    """A thousand rows of normal noise, some of them with a peak: 2 % of the time, of which four rows are too few."""
+    left_w = np.random.default_rng(1).normal(size=1000 if rows != 4 else 200)
+    left_w[:rows] = size_w
+    words = residual.peaks(left_w, np.ones(len(left_w)))
+    assert words.startswith(f"peaks of about {size_w:.0f} W hold 89 % of the squared error") if told else words == ""
