@@ -41,8 +41,8 @@ def compare(
 
     The logs drive the model directly; with a mission, the gap between the measured runs and the simulated mission is
     split into what the power model misses and what the robot did otherwise than planned. Runs that `validate` refuses,
-    copies, and runs with a fault that the others show (another unit, a column that hangs) are left out and named; the
-    exit code is 1 then, and where measured energy is a thousand times that of the model or the other way round.
+    copies, and runs in another unit than the others are left out and named, whatever the model; the exit code is 1
+    then, and where measured energy is a thousand times that of the model or the other way round.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
             (
                 p.name,
                 rounded(p.value, 4),
-                f"{rounded(p.low, 4)} … {rounded(p.high, 4)}",
+                f"{rounded(p.low, 4)} … {rounded(p.high, 4)}" if p.high - p.low > 1e-9 * abs(p.value) else "exact",
                 p.unit if p.unit != "1" else "",
             )
             for p in fit.parameters.values()

@@ -210,7 +210,7 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
             terminal.print(f"    {command}", style="cyan", soft_wrap=True)
         heads = ["model", ">energy error, %", ">power RMSE, W", ""]
         show_table(f"Battery {one.battery}: error on {which}", heads, rows)
-        terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}")
+        terminal.print(f"added: {one.told}; {one.stopped}")
         for note in (energy_note(one) if not one.worse else "", measured_note(one)):
             if note:
                 terminal.print(note)

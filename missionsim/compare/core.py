@@ -24,7 +24,7 @@ from missionsim.logs.raw import Remark, merge
 from missionsim.logs.read import distinct_logs, same_content
 from missionsim.numerals import meter_clock
 from missionsim.physics import Array
-from missionsim.runs.admit import admit
+from missionsim.runs.admit import admit, odd_runs
 from missionsim.runs.drive import assume, drive_blocks
 from missionsim.runs.error import Errors, cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.runs.motion import still_of
@@ -73,6 +73,7 @@ def _whole(name: str) -> int:
 LARGE_FILE_BYTES = 32_000_000
 """Files from this size on are read in blocks, so that memory stays bounded."""
 BLOCK_ROWS = 65_536
+COMPARED = "unlike the others beside this model, and in the numbers, since every model is compared on the same runs"
 PathLike = str | os.PathLike[str]
 
 
@@ -104,7 +105,7 @@ def compare(
     given = _runs(items, robot, refused)
     # runs that are handed over were admitted by whoever read them
     handed = [item for item in items if isinstance(item, Run)]
-    admitted, left_out = admit([sample for _, sample, _ in given if not any(sample is run for run in handed)], model)
+    admitted, left_out = admit([sample for _, sample, _ in given if not any(sample is run for run in handed)])
     kept = {id(run) for run in (*admitted, *handed)}
     for source, sample, blocks_of in given:
         if id(sample) not in kept:
@@ -135,7 +136,8 @@ def compare(
         for name, meter in model.meters.items()
         if name in batteries
     ]
-    told = []
+    odd = "; ".join(f"{name}: {why}" for name, why in odd_runs(admitted, model).items())
+    told = [f"{COMPARED}: {odd}"] if odd else []
     for note, of in notes.values():
         everywhere = len(of) == len(sources) and note.startswith(("no column", "battery"))
         more = f" and {len(of) - 1} more" if len(of) > 1 else ""

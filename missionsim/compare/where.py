@@ -299,7 +299,10 @@ def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
     least = max(WORTH_SAYING, LESSER_SHARE * max((dependence.explained for dependence in found), default=0.0))
     telling = [dependence for dependence in found if dependence.explained >= least][:limit]
     if not telling:
-        return ["The error shows no clear dependence on any logged quantity."]
+        return [
+            f"No logged quantity goes with as much as {100.0 * WORTH_SAYING:.0f} % of the error's variance; what is "
+            "fainter is for `missionsim diagnose` to say."
+        ]
     sentences = []
     for dependence in telling:
         worst = max(dependence.values, key=lambda where: where.explains)

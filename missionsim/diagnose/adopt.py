@@ -16,7 +16,7 @@ from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
-from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, log_hash, ranges_of
+from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, ranges_of
 from missionsim.identify.findings import Finding, HeldOut
 from missionsim.identify.identification import fit_effects
 from missionsim.identify.settings import Settings
@@ -215,9 +215,6 @@ def write(
         origin: dict[str, Any] = {
             "by": "missionsim add-effect",
             "date": dt.datetime.now(dt.UTC).date().isoformat(),
-            "runs": [log.run for log in split.train],
-            "sha256": [log_hash(log) for log in split.train],
-            "range": ranges_of(split.train),
             "p_value": one.p_value,
             "energy_share": one.energy_share,
         }
@@ -231,7 +228,8 @@ def write(
             entry = {"name": one.effect, "battery": models.battery, "power": str(getattr(power, "source", power))}
         editing.add_effect(entry | {"parameters": parameters, "origin": origin})
     editing.set_meter(models.battery, fitted.model.meter(models.battery))
-    return editing.set_source(CALIBRATION, fitted_source(split.train)).text, base
+    # which runs, and what they covered, stands once in a file: its base was fitted to them too
+    return editing.set_source(CALIBRATION, fitted_source(split.train), ranges_of(split.train, robot.origin)).text, base
 
 
 def _supported(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], str]:

@@ -131,7 +131,8 @@ class Models:
         return tuple(told)
 
     def leaning(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
-        """The effects, with what of the formula of motion falls below nothing beside each in this fit."""
+        """The effects, with what of the formula of motion falls below nothing beside each in this fit, and with what
+        each gives back."""
         formula = [name for name, parameter in self.features.parameters.items() if of_formula(parameter)]
         below = {name: new for name in formula if (new := fitted.values.get(name)) is not None and new.value < 0.0}
         told = []
@@ -144,7 +145,8 @@ class Models:
                 for name, new in below.items()
                 if name in without and new.value + Z95 * new.sd < without[name].value
             ]
-            told.append(replace(effect, leans="; ".join(falls)))
+            back = _given_back(self, effect, fitted) if "regeneration" in effect.parameters else 0.0
+            told.append(replace(effect, leans="; ".join(falls), back=back))
         return tuple(told)
 
     def of_all_braking(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -278,3 +280,14 @@ class Models:
         """Power of a model at the rate of the analysis [W], shape (n,)."""
         raw = [drive(model, self.runs[i], self.battery).row_w(self.battery)[None, :] for i in source.kept]
         return np.asarray(source.averaged(raw, clock)[0])
+
+
+def _given_back(models: Models, effect: Finding, fitted: FinalFit) -> float:
+    """Part of the measured energy that the term of an effect gives back."""
+    back_j = measured_j = 0.0
+    for run in models.runs:
+        driven = drive(fitted.model, run, models.battery)
+        measured_j += float(driven.measured_w[models.battery] @ run.dt_s)
+        for key, watts in driven.terms[models.battery].items():
+            back_j -= float(np.minimum(watts, 0.0) @ run.dt_s) if key.name == effect.effect else 0.0
+    return back_j / measured_j if measured_j > 0.0 else 0.0

@@ -27,6 +27,8 @@ MOST_ROUNDS = 8
 NOTHING_LEFT = "nothing is left above the detection limits"
 MOST_LAWS = 3
 """Proposed laws that are offered once the library has nothing more to add."""
+MOVED = 0.1
+"""Change of a size, in parts of it, that is told."""
 CLOCK_MOVES_S = 0.05
 """Change of delay or lag from which the fits are made anew."""
 
@@ -55,11 +57,27 @@ class Improved:
     """Held-out runs that the steps leave out, and the columns that they lack, on which what was added depends."""
     base_alone: bool = False
     """Whether nothing was added, but the base fitted anew, since held-out runs are predicted clearly better so."""
+    written: tuple[Finding, ...] = ()
+    """What was added, as the file has it."""
+    asked: Mapping[str, float] = field(default_factory=dict)
+    """Part of the energy that each had when it came in, before what came later."""
+
+    @property
+    def told(self) -> str:
+        """What was added, each with the size that it has in the file, in words."""
+        parts = []
+        for one in self.written:
+            before, now = self.asked.get(one.effect, one.net), one.net
+            changed = abs(now - before) > MOVED * max(abs(now), abs(before))
+            more = f", {100 * before:.1f} % before the others came in" if changed else ""
+            parts.append(f"{one.effect} ({100 * now:.1f} % of the energy{more})")
+        return ", ".join(parts or self.added) or "nothing"
 
     def to_json(self) -> Json:
         """As ``missionsim improve --json`` has a battery."""
         return {
             "added": list(self.added),
+            "written": [one.to_json() for one in self.written],
             "declined": list(self.declined),
             "base_alone": self.base_alone,
             "stopped": self.stopped,
@@ -141,6 +159,8 @@ class Rounds:
         self.nothing = Counter[str]()
         """How often each came to nothing beside others."""
         self.by_law: set[str] = set()
+        self.asked: dict[str, float] = {}
+        """Part of the energy that each had when it came in."""
         self.laws, self.again = 0, False
         self.aside: State | None = None
         """With what the library named beside a law and that law as it was, while another form of it is looked for."""
@@ -191,6 +211,7 @@ class Rounds:
                 continue
             if self.ask(effect, state.last):
                 new.append(effect)
+                self.asked.setdefault(effect.effect, effect.net)
             else:
                 self.declined.append(effect.effect)
         found = [effect for effect in new if effect.effect not in self.by_law]
@@ -231,6 +252,7 @@ class Rounds:
             self.nothing[formula] += 1
             return True
         self.by_law.add(name)
+        self.asked[name] = law.energy_share
         self.state = beside
         self.settle(found, fitted)
         return True
@@ -319,6 +341,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         + "".join(f" {one.effect}: {one.doubt}." for one in doubted if one.doubt),
         untested=untested,
         base_alone=base_alone,
+        written=doubted,
+        asked=rounds.asked,
     )
 
 

@@ -16,6 +16,10 @@ from missionsim.runs.motion import approach
 STEP_S = 0.5
 TOTAL_S = 180.0
 DEFAULT_ACCELERATION_M_S2 = 0.3
+"""Of a robot whose file and logs tell none."""
+USUAL_RAMP, RAMPS, SHORTEST_STOP_S = 0.7, 4.0, 12.0
+"""Acceleration of a manoeuvre in parts of the hardest that the logs hold both ways; time from stop to stop in times
+that to reach the speed, so that half of it is driven at that speed; the shortest such time (assumed)."""
 FOLLOWS = frozenset({"moving", "moving_time_s", "starts", "starts_per_s", "mass_kg", "load_w", "drive_w"})
 """What follows from the motion and load of a manoeuvre, however it usually was in the logs."""
 
@@ -114,6 +118,7 @@ def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float]) -> Si
     fastest = min(limits.get("max_speed", np.inf), 1.1 * high.get("speed_m_s", np.inf))
     spin = min(limits.get("max_yaw_rate", 1.0), max(1.2 * high.get("yaw_rate_rad_s", 1.0), 0.2))
     switched = [name for name in high if name.startswith("on_") and not name.startswith("on_time")]
+    ramp = USUAL_RAMP * min(high.get("accel_m_s2", 0.0), -low.get("accel_m_s2", 0.0))
     components = {name[3:]: max(1, round(high[name])) for name in switched}
     return Site(
         usual,
@@ -122,7 +127,7 @@ def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float]) -> Si
         choices,
         fastest if np.isfinite(fastest) else 0.5,
         spin,
-        limits.get("acceleration", DEFAULT_ACCELERATION_M_S2),
+        limits.get("acceleration", ramp if ramp > 0.0 else DEFAULT_ACCELERATION_M_S2),
         components,
     )
 
@@ -152,8 +157,10 @@ def library(site: Site) -> list[Manoeuvre]:
     told = ", ".join(f"{round(f * top, 2):g}" for f in shares)
     sweep = Part(TOTAL_S, tuple(round(f * top, 3) for f in shares), set=plain)
     add("speed sweep", f"drive straight and level{without} at {told} m/s, 45 s each", sweep)
-    stops = Part(TOTAL_S, (v,), stops=15, set=plain)
-    add("stop and go", f"drive straight and level{without} at {v:g} m/s with a full stop every 12 s, 3 min", stops)
+    pieces = max(2, int(TOTAL_S // max(SHORTEST_STOP_S, RAMPS * v / site.acceleration_m_s2)))
+    every_s, stops = TOTAL_S / pieces, Part(TOTAL_S, (v,), stops=pieces - 1, set=plain)
+    do = f"drive straight and level{without} at {v:g} m/s with a full stop every {every_s:.0f} s, 3 min"
+    add("stop and go", do, stops)
     half_and_half = Part(90.0, set=plain), Part(90.0, (v,), set=plain)
     add("stand and drive", f"stand still for 90 s, then drive straight{without} at {v:g} m/s for 90 s", *half_and_half)
     if "yaw_rate_rad_s" in usual:
@@ -237,8 +244,9 @@ def script(manoeuvre: Manoeuvre, site: Site) -> Json:
             for wanted, leg in zip(part.speeds_m_s, np.array_split(rows, len(part.speeds_m_s)), strict=True):
                 target[leg] = wanted
             target[-2:] = 0.0
+            braking = int(np.ceil(max(part.speeds_m_s) / site.acceleration_m_s2 / STEP_S))
             for rest in np.array_split(rows, part.stops + 1)[:-1]:
-                target[rest[-6:]] = 0.0
+                target[rest[-max(6, braking + 2) :]] = 0.0
         if part.yaw_rates_rad_s:
             for rate, leg in zip(part.yaw_rates_rad_s, np.array_split(rows, len(part.yaw_rates_rad_s)), strict=True):
                 yaw[leg] = rate

@@ -49,10 +49,17 @@ _PER = {
 }
 
 
+def named(effect: Finding) -> str:
+    """The library's name of what `missing` told, and whether that is sure; empty where it was told by its name."""
+    kind = effect.effect.partition(":")[0]
+    known = kind in _SUBJECT or kind.startswith(("component_", "logged_"))
+    return f"; that {'may be' if effect.doubt else 'is'} {effect.effect}" if known or effect.doubt else ""
+
+
 def missing(effect: Finding) -> str:
     """``Turning costs 3.3 kW per rad/s that the model does not know (5.1 % of the energy).``"""
     kind, _, part = effect.effect.partition(":")
-    subject = _SUBJECT.get(kind, effect.effect)
+    subject = _SUBJECT.get(kind, f"the effect {effect.effect}")
     if kind == "component_power":
         subject = f"{part}, while it is on,"
     elif kind == "component_warmup":
@@ -62,9 +69,9 @@ def missing(effect: Finding) -> str:
     elif part:
         subject = f"{subject.replace(' on some floors', '')} on {part}"
     subject = subject[:1].upper() + subject[1:]
-    share = f"{100 * abs(effect.energy_share):.1f} % of the energy"
-    if "regeneration" in effect.parameters:
-        share += ", before what comes back,"
+    share = f"{100 * abs(effect.net):.1f} % of the energy"
+    if effect.back:
+        share += f" ({100 * effect.energy_share:.1f} % taken, {100 * effect.back:.1f} % given back)"
     first = next(iter(effect.parameters.values()), None)
     if first is None or first.unit not in _PER or len(effect.parameters) > 1 or kind == "acceleration":
         return f"{subject} costs {share} that the model does not know"

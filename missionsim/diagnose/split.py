@@ -168,7 +168,7 @@ def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) ->
     train = tuple(log for log in logs if not (log.sha256 and log.sha256 in same))
     if not train:
         raise InputError.single("every run is held out; nothing is left to fit", got=", ".join(parts))
-    kept, left_out = admit_to_test(held, train, model)
+    kept, left_out = admit_to_test(held, train)
     how = f"{len(kept)} run{'s' * (len(kept) != 1)} from {', '.join(Path(p).name for p in parts)}"
     return Split(train, tuple(kept), how, left_out=(*left_out, *(f"held-out {told}" for told in refused)))
 

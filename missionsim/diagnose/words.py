@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.waterfall import unseen_note
-from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
+from missionsim.effects.library import get_effect
+from missionsim.errors import InputError
+from missionsim.identify.findings import BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.numerals import bare, meter_clock, rounded, watts
 
 MOST_NOT_SEEN = 8
+AT_BOUND, INF = 1e-6, math.inf
+"""Distance from a bound, in parts of its interval, within which a parameter lies at it."""
 BLIND_SHARE = 0.5
 """Detection limits from here on mean that the data say nothing of an effect."""
 
@@ -22,7 +27,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     left = battery.unexplained
     said = list(filter(None, [sentences.worse(battery)]))
     clear = [f for f in battery.effects if not f.indistinguishable_from]
-    said += [f"{sentences.missing(f)}; that {'may be' if f.doubt else 'is'} {f.effect}." for f in clear]
+    said += [f"{sentences.missing(f)}{sentences.named(f)}." for f in clear]
     for effect in battery.effects:
         if effect.indistinguishable_from:
             names = " or ".join((effect.effect, *effect.indistinguishable_from))
@@ -120,18 +125,40 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         told_not = f"nothing held out ({count}): how the model does on runs that were not used is not shown"
         lines.append(("HELD-OUT", told_not))
     lines += [("NOTE", remark) for remark in battery.remarks]
-    if battery.untestable:
-        needs = (f"{name} (needs {', '.join(columns)})" for name, columns in battery.untestable.items())
-        lines.append(("UNTESTABLE", "; ".join(needs)))
+    lines += [("UNTESTABLE", f"without {column}: {names}") for column, names in untestable(battery)]
     return lines
 
 
+def untestable(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
+    """What the logs lack, and the effects that they cannot test for it."""
+    without: dict[str, list[str]] = {}
+    for name, needs in battery.untestable.items():
+        first, *more = needs or ("other values",)
+        without.setdefault(first, []).append(f"{name} (and {', '.join(more)})" if more else name)
+    return [(column, ", ".join(names)) for column, names in without.items()]
+
+
 def parameters_told(effect: Finding) -> str:
-    """The parameters of an effect with their intervals."""
-    return ", ".join(
-        f"{name} = {bare(e.value)}{_unit(e.unit)} (95 % {bare(e.low)} to {bare(e.high)})"
-        for name, e in effect.parameters.items()
-    )
+    """The parameters of an effect with their intervals, within the bounds of the library."""
+    floors = tuple(name.removeprefix("k_") for name in effect.parameters)
+    with suppress(InputError):  # a formula of the user or a law has none
+        own = get_effect(effect.effect, floors)
+        bounds = {spec.name: (spec.low, spec.high) for spec in own.parameters}
+        return ", ".join(_estimate(name, e, *bounds.get(name, (-INF, INF))) for name, e in effect.parameters.items())
+    return ", ".join(_estimate(name, e) for name, e in effect.parameters.items())
+
+
+def _estimate(name: str, e: Estimate, least: float = -INF, most: float = INF) -> str:
+    if e.low == e.high:
+        return f"{name} = {bare(e.value)}{_unit(e.unit)} (chosen, not fitted)"
+    near = AT_BOUND * (e.high - e.low)
+    for bound, side, reach, other in ((least, "least", "up", e.high), (most, "most", "down", e.low)):
+        if abs(e.value - bound) <= near:
+            end = min(max(other, least), most)
+            return f"{name} = {bare(bound)}{_unit(e.unit)}, its {side} (95 % {reach} to {bare(end)})"
+    # an interval of a coefficient that reaches below nothing says so; a part is no less than none and no more than all
+    low, high = (max(e.low, least), min(e.high, most)) if least < e.value < most < INF else (e.low, e.high)
+    return f"{name} = {bare(e.value)}{_unit(e.unit)} (95 % {bare(low)} to {bare(high)})"
 
 
 def found_line(effect: Finding) -> str:
@@ -140,8 +167,12 @@ def found_line(effect: Finding) -> str:
     if math.isfinite(effect.share_low):
         interval = f" (95 % {_percent(effect.share_low)} to {_percent(effect.share_high)})"
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
+    share = f"{_percent(effect.energy_share)} % of energy{interval}"
+    if effect.back:
+        share = f"{_percent(effect.net)} % of energy: {_percent(effect.energy_share)} %{interval} taken, "
+        share += f"{_percent(effect.back)} % given back"
     return (
-        f"{effect.effect}: {_percent(effect.energy_share)} % of energy{interval}; {parameters_told(effect)}; "
+        f"{effect.effect}: {share}; {parameters_told(effect)}; "
         f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
     )
 

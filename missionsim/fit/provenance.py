@@ -89,16 +89,20 @@ def sd_on_other_logs(sd: float, source: str) -> float:
     return math.hypot(sd, OTHER_DAY_SD) if _TAG.search(source) else sd
 
 
-def ranges_of(runs: Sequence[Run]) -> Json:
-    """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors."""
-    found: Json = {}
+def ranges_of(runs: Sequence[Run], origin: Json | None = None) -> Json:
+    """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors. `origin`: of
+    a robot file, whose ranges they join."""
+    found: Json = dict((origin or {}).get("range", {}))
     for name in COVARIATES:
         columns = [run.columns[name] for run in runs if name in run.columns]
+        before = found.get(name, [])
         if name == "surface" and columns:
-            found[name] = sorted({text for one in columns if isinstance(one, Labels) for text in one.names})
+            floors = {text for one in columns if isinstance(one, Labels) for text in one.names}
+            found[name] = sorted(floors.union(before))
         numbers = [one[np.isfinite(one)] for one in columns if not isinstance(one, Labels)]
         values = np.concatenate(numbers) if numbers else np.zeros(0)
         if len(values):
+            values = np.append(values, np.asarray(before, dtype=float))
             found[name] = [float(f"{limit:.4g}") for limit in (np.min(values), np.max(values))]
     return found
 

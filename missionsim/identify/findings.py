@@ -69,7 +69,7 @@ class Finding:
     parameters: Mapping[str, Estimate]
     """Coefficients first, then shape parameters."""
     energy_share: float
-    """Part of the measured energy of the battery."""
+    """Part of the measured energy of the battery, before anything comes back."""
     p_value: float
     share_low: float = float("nan")
     share_high: float = float("nan")
@@ -93,6 +93,13 @@ class Finding:
     remark: str = ""
     leans: str = ""
     """What of the base falls below nothing beside it, in the fit that its numbers come from."""
+    back: float = 0.0
+    """Part of the energy that comes back (braking, descents), where it is known; ``energy_share`` is what is taken."""
+
+    @property
+    def net(self) -> float:
+        """Part of the measured energy that is taken and does not come back."""
+        return self.energy_share - self.back
 
     @property
     def doubt(self) -> str:
@@ -106,6 +113,7 @@ class Finding:
             "parameters": {name: estimate.to_json() for name, estimate in self.parameters.items()},
             "energy_share": self.energy_share,
             "energy_share_interval": [self.share_low, self.share_high],
+            "energy_share_given_back": self.back,
             "p_value": self.p_value,
             "p_value_runs": self.p_runs,
             "level": self.level,

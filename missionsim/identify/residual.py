@@ -179,15 +179,17 @@ def dependences(model: Model) -> list[Structure]:
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
             if name not in out or out[name].gain_nats < gain:
-                shape = _words(name, times, knots, values)
+                shape = _words(name, times, knots, values, size)
                 out[name] = Structure(name, p_value * len(tests), gain, size, shape, times)
             break
     return sorted(out.values(), key=lambda s: -s.gain_nats)
 
 
-def _words(name: str, times: str, knots: Array, values: Array) -> str:
-    """What is said of a curve with values at the knots beyond the first, which is its reference."""
+def _words(name: str, times: str, knots: Array, values: Array, size: float) -> str:
+    """What is said of a curve with values at the knots beyond the first, which is its reference. `size`: in mean
+    powers."""
     what = f"residual varies with {plain(name)}" + (f" (times {plain(times)})" if times else "")
+    what += f" by {100 * size:.1f} % of the power"
     if len(values) != len(knots) - 1 or known(name).text:
         return what
     curve = np.append(0.0, values)
@@ -314,7 +316,7 @@ def wrong_form(model: Model, column: int) -> Structure | None:
         sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
         if own < GROSS * free or (own < ratio * free and sure):
             size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-            words = f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values)})"
+            words = f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values, size)})"
             return Structure(covariate, p_value, beyond, size, words)
     return None
 

@@ -93,7 +93,7 @@ class Editing:
             parent[last] = _updated(old, new, known.get(".".join(map(str, found))))
         return self
 
-    def set_source(self, key: str, told: str, ranges: Mapping[str, object] | None = None) -> Editing:
+    def set_source(self, key: str, told: str, ranges: Mapping[str, object]) -> Editing:
         """One entry of ``sources:`` added or replaced, and the ranges of the logs in ``origin:``."""
         data = self._data
         if data.get("sources"):
@@ -101,8 +101,11 @@ class Editing:
         else:
             position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
             data.insert(position, "sources", _node({key: told}))
-        if ranges is not None:
-            data["origin"] = _plain({**data.get("origin", {}), "range": dict(ranges)})
+        origin = _plain({**data.get("origin", {}), "range": dict(ranges)})
+        if "origin" in data:
+            data["origin"] = origin
+        else:
+            data.insert(list(data).index("sources") + 1, "origin", origin)
         return self
 
     def set_meter(self, battery: str, meter: Meter) -> Editing:

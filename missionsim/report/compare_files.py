@@ -19,6 +19,7 @@ from missionsim.physics import Array
 from missionsim.report.page import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 from missionsim.report.terminal import signed, simple_table
 from missionsim.results.write import write_table
+from missionsim.runs.error import Errors, RunError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,22 +27,26 @@ if TYPE_CHECKING:
 
 
 WHERE_ROWS = 10
-RUN_ROWS = 24
+RUN_ROWS = 12
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print the verdict, the numbers by battery and run, where it fails, and what was assumed."""
     count = len(comparison.runs)
     title = f"{comparison.robot or 'model'}: model against measurements, {count} {'runs' if count != 1 else 'run'}"
-    columns = ["battery", ">measured Wh", ">model Wh", ">error %", ">RMSE W", ">bias W"]
+    columns = ["battery", ">measured Wh", ">model Wh", ">error %", ">by run %", ">RMSE W", ">bias W"]
     rows: list[list[str]] = []
     for one in comparison.batteries.values():
         found = one.error_statistics
         row = [one.battery, in_wh(one.energy_measured_wh), in_wh(one.energy_model_wh)]
-        row += [signed(one.energy_error_pct, 2), rounded(one.power_rmse_w), rounded(one.power_bias_w, sign=True)]
-        rows.append([*row, *map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))])
-    console.print(simple_table(title, [*columns, ">peak %", ">final %", ">mean %", ">std %"], rows))
-    notes = ["error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs"]
+        row += [signed(one.energy_error_pct, 2), _plain(one.run_energy_error_pct), rounded(one.power_rmse_w)]
+        over = map(_plain, (found.peak_pct, found.mean_pct))
+        rows.append([*row, rounded(one.power_bias_w, 3, sign=True), *over])
+    console.print(simple_table(title, [*columns, ">peak %", ">mean %"], rows))
+    notes = [
+        "error: model minus measured, of all runs as one; by run: mean over runs of its magnitude, as diagnose and "
+        "improve print it; peak, mean: its magnitude over the progress of the runs"
+    ]
     untold = [name for name, one in comparison.batteries.items() if not math.isfinite(one.error_statistics.final_pct)]
     if untold:
         notes.append(f"no relative error over progress for {', '.join(untold)}: the energy measured is not above zero")
@@ -84,14 +89,20 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
         columns = ["scheme", ">way ×", ">speed ×", ">dwell s", ">way Wh", ">speed Wh", ">stand Wh", ">rest Wh"]
         console.print(simple_table("Behaviour against the plan", columns, rows))
     if len(one.runs) > 1:
-        shown = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))[:RUN_ROWS]
-        more = f", the {RUN_ROWS} worst of {len(one.runs)}" if len(one.runs) > RUN_ROWS else ""
-        rows = []
-        for run in [run for run in one.runs if run in shown]:
-            row = [run.run, f"{run.seconds:.0f}", in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
-            rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w)])
+        worst = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))
+        shown, rest = worst[:RUN_ROWS], worst[RUN_ROWS:]
+        rows = [_run_row(run.run, run, signed(run.energy_error_pct, 2)) for run in shown]
+        if rest:
+            off = [run.energy_error_pct for run in rest]
+            span = f"{signed(min(off), 2)} … {signed(max(off), 2)}"
+            rows.append(_run_row(f"the other {len(rest)}", Errors(tuple(rest)).total, span))
         columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
-        console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))
+        console.print(simple_table(f"Runs, the worst first, battery {one.battery}", columns, rows))
+
+
+def _run_row(name: str, run: RunError, error_pct: str) -> list[str]:
+    energies = [in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
+    return [name, f"{run.seconds:.0f}", *energies, error_pct, rounded(run.power_rmse_w)]
 
 
 def _plain(value: float) -> str:

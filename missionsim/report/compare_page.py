@@ -71,7 +71,8 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Blo
     tiles = [
         ("Energy measured", f"{in_wh(one.energy_measured_wh)} Wh", f"battery {one.battery}"),
         ("Energy of the model", f"{in_wh(one.energy_model_wh)} Wh", "driven by the logs"),
-        ("Energy error", f"{signed(error, 2)} %", "model minus measured"),
+        ("Energy error", f"{signed(error, 2)} %", "model minus measured, all runs as one"),
+        ("Energy error by run", f"{one.run_energy_error_pct:.2f} %", "mean over runs of its magnitude"),
         ("Power error", watts(one.power_rmse_w), "root mean square"),
         ("Bias", f"{signed(one.power_bias_w)} W", "mean of model minus measured"),
     ]
@@ -268,14 +269,19 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
 
 def _runs(one: BatteryComparison) -> list[web.Block]:
     rows = []
-    for run in one.runs:
+    for run in sorted(one.runs, key=lambda run: -abs(run.energy_error_pct)):
         row = [run.run, run.seconds, in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
         rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w), signed(run.power_bias_w)])
     total = sum(one.by_component_wh.values()) or 1.0
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]
     terms = [[name, energy] for name, energy in one.by_term_wh.items()]
     return [
-        web.Table(["run", "time, s", "measured, Wh", "model, Wh", "error, %", "RMSE, W", "bias, W"], rows, "Runs", 4),
+        web.Table(
+            ["run", "time, s", "measured, Wh", "model, Wh", "error, %", "RMSE, W", "bias, W"],
+            rows,
+            "Runs, the worst first",
+            4,
+        ),
         web.Table(["component", "energy, Wh", "share"], parts, "Energy of the model by component", 4, 2),
         web.Details("Energy of the model by physical term", [web.Table(["term", "energy, Wh"], terms)]),
     ]

@@ -63,7 +63,9 @@ def _result(battery: BatteryDiagnosis, asked: Asked | None, several: bool) -> li
         effect = battery.effects[0]
         interval = f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
         told = interval if math.isfinite(effect.share_low) else ""
-        cards.append(("How much", f"{100 * effect.energy_share:.1f} % of the energy", told))
+        if effect.back:
+            told = f"{100 * effect.energy_share:.1f} % taken ({told}), {100 * effect.back:.1f} % given back"
+        cards.append(("How much", f"{100 * effect.net:.1f} % of the energy", told))
     elif battery.proposed_laws:
         share, half = 100 * battery.proposed_laws[0].energy_share, 196 * battery.proposed_laws[0].share_sd
         cards.append(("How much", f"{share:.1f} % of the energy", f"95 %: {share - half:.1f} to {share + half:.1f} %"))
@@ -153,7 +155,7 @@ def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
             }
             traces.append(points)
         layout = {
-            "xaxis": web.axis("share of the battery's energy, %", rangemode="tozero"),
+            "xaxis": web.axis("share of the battery's energy, before anything comes back, %", rangemode="tozero"),
             "hovermode": "closest",
             "margin": {"l": 220, **web.MARGIN},
         }
@@ -169,7 +171,7 @@ def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
     ]
     blocks.append(web.Details("Every candidate and the reason", [web.Table(columns, told, digits=3)]))
     if battery.untestable:
-        needs = web.Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])
+        needs = web.Table(["without", "these cannot be tested"], words.untestable(battery))
         blocks.append(web.Details("Effects that these logs cannot test", [needs]))
     return blocks
 
@@ -303,15 +305,13 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
     text = "".join(f"{told} " for told in (one.worse, better) if told)
-    what = f"Added: {', '.join(one.added)}" if one.added else "Nothing was added"
+    what = f"Added: {one.told}" if one.added else "Nothing was added"
     text += (
         f"{what}. The power error on {which} went from "
         f"{rounded(first.power_rmse_w)} to {watts(last.power_rmse_w)}, the energy error from "
-        f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
-        f"{one.stopped[:1].upper()}{one.stopped[1:]}"
+        f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %."
     )
-    if note := energy_note(one):
-        text += f" {note}"
+    told = [f"{one.stopped[:1].upper()}{one.stopped[1:]}", energy_note(one)]
     names = [web.label(step.name) for step in one.steps]
     floor = one.steps[-1]
     charts: list[web.Block] = []
@@ -347,4 +347,13 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
         ]
     )
     typed = [web.Command("Type this next", command)] if command else []
-    return [web.Verdict(text, tone), *typed, tiles, *charts, table, web.Paragraph(measured_note(one), small=True)]
+    said = [web.Paragraph(line) for line in told if line]
+    return [
+        web.Verdict(text, tone),
+        *typed,
+        tiles,
+        *said,
+        *charts,
+        table,
+        web.Paragraph(measured_note(one), small=True),
+    ]

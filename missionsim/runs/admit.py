@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +15,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
 from missionsim.physics import Array
-from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, offsets, runs_beside
+from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, Usual, correlation, offsets, runs_beside
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.run import SPEEDS, Run, divided, larger
@@ -43,16 +44,26 @@ STEEP_RAD, STEEPER = 0.3, 12.0
 """Slope that no robot climbs for long, and how many times that of the other runs it must be to be another unit."""
 
 
-def odd_runs(runs: Sequence[Run], model: PowerModel, *, units_only: bool = False) -> dict[str, str]:
-    """Runs that are not as the others, and why, in words; none where most are, for then it is the model that is odd.
-    Power that has nothing to do with the motion, or does long after it, is told of any number of runs.
-
-    `units_only`: only what no robot does, whatever the model lacks.
-    """
+def unfit_runs(runs: Sequence[Run]) -> dict[str, str]:
+    """Runs that are not logged as the others, and why, in words; none where most are. No model has a say in it, so that
+    any two are compared on the same runs; a slope whose sign is turned is told of any number of runs."""
     found, apart = _units(runs), dict[str, str]()
-    for battery in model.batteries:
+    for battery in dict.fromkeys(name for run in runs for name in run.power_w):
         own = [run for run in runs if battery in run.power_w and run.run not in found]
         apart |= dict.fromkeys((run.run for run in own), why) if (why := _downwards(own, battery)) else {}
+        moved = [run for run in own if "speed_m_s" in run.columns and run.rows]
+        if len(moved) >= FEWEST:
+            usual = Usual(moved, battery)
+            found |= _factors(moved, [usual.ratio(run) for run in moved], usual.ratio, battery)[0]
+    return apart | (found if len(found) < 0.5 * len(runs) else {})
+
+
+def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
+    """Runs that are not as the others against a model, and why, in words; none where most are, for then it is the model
+    that is odd. Power that has nothing to do with the motion, or does long after it, is told of any number of runs."""
+    found, apart = dict[str, str](), dict[str, str]()
+    for battery in model.batteries:
+        own = [run for run in runs if battery in run.power_w]
         try:
             driven = [drive(model, run, battery) for run in own]
         except InputError:
@@ -60,10 +71,12 @@ def odd_runs(runs: Sequence[Run], model: PowerModel, *, units_only: bool = False
         apart |= _of_another_time(driven, battery)
         if len(own) < FEWEST:
             continue
-        other_units, doubtful = _factors(own, driven, model, battery)
+
+        def level(run: Run, of: str = battery) -> float:
+            return _ratio(drive(model, run, of), of)
+
+        other_units, doubtful = _factors(own, [_ratio(one, battery) for one in driven], level, battery)
         found |= other_units
-        if units_only:
-            continue
         left = [one for one in driven if one.run.run not in {*found, *doubtful, *apart}]
         if len(left) >= FEWEST_LEVELS:
             told, beside = _beside(Others(left, battery), model)
@@ -192,12 +205,13 @@ def beyond(run: Run, others: Sequence[Run]) -> list[str]:
 
 
 def _factors(
-    runs: Sequence[Run], driven: Sequence[Driven], model: PowerModel, battery: str
+    runs: Sequence[Run], levels: Sequence[float], level: Callable[[Run], float], battery: str
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Runs whose level against the model differs from that of the others by a factor: in another unit; and by less."""
+    """Runs whose level (measured over expected energy) differs from that of the others by a factor: in another unit;
+    and by less. `level`: that of a run whose speed is divided."""
     found: dict[str, str] = {}
     doubtful: dict[str, str] = {}
-    ratios = np.array([_ratio(one, battery) for one in driven])
+    ratios = np.array(levels)
     usual = float(np.median(ratios))
     if not usual > 0.0:
         return found, doubtful
@@ -215,14 +229,14 @@ def _factors(
             times = float(np.quantile(np.abs(run.number("speed_m_s")), 0.95)) / usual_m_s if usual_m_s > 0.0 else 0.0
             gaps = {factor: abs(np.log(times / factor)) for factor in SPEEDS} if times > 0.0 else {}
             for factor in sorted((f for f, gap in gaps.items() if gap < abs(np.log(times))), key=gaps.__getitem__):
-                mended = _ratio(drive(model, divided(run, "speed_m_s", factor), battery), battery) / usual
+                mended = level(divided(run, "speed_m_s", factor)) / usual
                 if np.isfinite(mended) and 1.0 / EXPLAINED < mended < EXPLAINED:
                     told = f"speed_m_s is {factor:.3g} times too large ({SPEEDS[factor]}?)"
                     break
         if told:
             found[run.run] = told
         elif off < 0.0 or far > np.log(LEVEL):
-            found[run.run] = f"power_{battery}_w is {off:.3g} times the other runs against the model: another unit?"
+            found[run.run] = f"power_{battery}_w is {off:.3g} times what the other runs draw so: another unit?"
         elif far > ALONE * middle:
             doubtful[run.run] = (
                 f"power_{battery}_w is {off:.3g} times the other runs against the model, which agree: "
@@ -248,8 +262,21 @@ MOST = 4000
 
 
 def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Run], list[str]]:
-    """Runs to learn from, and what was left out and why, one line a run. Raises InputError: where no run is left; with
-    the faults that `validate` tells."""
+    """Runs to learn from, and what was left out and why, one line a run; without a model runs to compare any with.
+    Raises InputError: where no run is left."""
+    kept, told = _sound(runs)
+    for odd_of in (unfit_runs, *(() if model is None else (partial(odd_runs, model=model),))):
+        odd = odd_of(kept)
+        told = [*(f"{name}: {why}" for name, why in odd.items()), *told]
+        faults = [Fault(run.source, 0, 0, odd[run.run]) for run in kept if run.run in odd]
+        kept = [run for run in kept if run.run not in odd]
+        if faults and not kept:
+            raise InputError(faults)
+    return kept, told
+
+
+def _sound(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Runs that `validate` takes, each once, and what was left out. Raises InputError: with what it tells of all."""
     errors = [[remark for remark in run.remarks if remark.severity == "error"] for run in runs]
     refused = [remark.column for own in errors for remark in own if remark.kind in ("range", "unit")]
     # a unit that is wrong in most runs is wrong in those too whose values happen to be small
@@ -274,34 +301,24 @@ def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Ru
     kept = [run for i, run in enumerate(good) if i not in twins]
     if runs and not kept:
         raise InputError([remark.fault(run.source) for run, own in zip(runs, errors, strict=True) for remark in own])
-    if model is not None:
-        odd = odd_runs(kept, model)
-        told = [*(f"{name}: {why}" for name, why in odd.items()), *told]
-        faults = [Fault(run.source, 0, 0, odd[run.run]) for run in kept if run.run in odd]
-        kept = [run for run in kept if run.run not in odd]
-        if faults and not kept:
-            raise InputError(faults)
     return kept, told
 
 
-def admit_to_test(
-    held: Sequence[Run], fitted: Sequence[Run], model: PowerModel | None = None
-) -> tuple[list[Run], list[str]]:
+def admit_to_test(held: Sequence[Run], fitted: Sequence[Run]) -> tuple[list[Run], list[str]]:
     """Held-out runs to test on, and what was left out and why: what `validate` refuses, copies, wrong units.
 
     One that the model predicts badly stays, since that is what it is there for. Raises InputError: where none is left.
     """
-    named, told = admit([replace(run, run=f"held-out {run.run}") for run in held])
+    named, told = _sound([replace(run, run=f"held-out {run.run}") for run in held])
     twins = copies([*fitted, *named])
     wrong = {
         named[i - len(fitted)].run: f"a copy of {fitted[j].run} but for noise, which is fitted: it tests nothing"
         for i, j in twins.items()
         if i >= len(fitted) > j
     }
-    if model is not None:
-        size = max(1, len(fitted) - 1)  # fewer than those that they are held against
-        for at in range(0, len(named), size):
-            wrong = odd_runs([*fitted, *named[at : at + size]], model, units_only=True) | wrong
+    size = max(1, len(fitted) - 1)  # fewer than those that they are held against
+    for at in range(0, len(named), size):
+        wrong = unfit_runs([*fitted, *named[at : at + size]]) | wrong
     odd = [run for run in named if run.run in wrong]
     if odd and len(odd) == len(named):
         raise InputError(Fault(run.source, 0, 0, wrong[run.run]) for run in odd)

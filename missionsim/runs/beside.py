@@ -19,8 +19,8 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, may_be_cause
-from missionsim.runs.drive import Driven, drive
-from missionsim.runs.run import mended
+from missionsim.runs.drive import Driven, drive, filled
+from missionsim.runs.run import Run, mended
 
 FEWEST, FEWEST_LEVELS = 3, 5
 """Runs that can say what is usual, and whose levels can."""
@@ -41,7 +41,36 @@ which a run has nothing to do with them."""
 APART = 2.5
 """Distance of two groups of levels, in times the width of the wider, from which the fewer are odd (assumed)."""
 ROWS = 4000
-"""Rows of each run that the regression looks at."""
+"""Rows of each run that a regression looks at."""
+LEAST_MAGNITUDES, MOTION = 30, ("speed_m_s", "yaw_rate_rad_s")
+"""Steps of the fit by least magnitudes; what robots draw more by, whatever they are."""
+
+
+class Usual:
+    """What runs draw by speed and turn rate, whatever a model says: least magnitudes, which no run of another unit
+    leads."""
+
+    def __init__(self, runs: Sequence[Run], battery: str) -> None:
+        self.battery = battery
+        kept = [(self.columns(run), run.power_w[battery], slice(None, None, 1 + run.rows // ROWS)) for run in runs]
+        rows = np.concatenate([columns[keep] for columns, _, keep in kept])
+        watts = np.concatenate([power[keep] for _, power, keep in kept])
+        weight = np.concatenate([np.full(len(power[keep]), 1.0 / len(power[keep])) for _, power, keep in kept])
+        least = 1e-3 * float(np.median(np.abs(watts))) + 1e-12
+        ridge, own = 1e-9 * np.diag((rows**2).T @ weight + 1e-12), weight
+        for _ in range(LEAST_MAGNITUDES):
+            self.watts = np.linalg.solve((rows.T * own) @ rows + ridge, (rows.T * own) @ watts)
+            own = weight / np.maximum(np.abs(watts - rows @ self.watts), least)
+
+    def columns(self, run: Run) -> Array:
+        """One, moving, speed, its square, turn rate; shape (n, 5)."""
+        cov = filled(run, [self.battery])
+        speed, turn = (np.abs(np.asarray(cov.get(name, np.zeros(run.rows)))) for name in MOTION)
+        return np.column_stack([np.ones(run.rows), is_moving(cov), speed, speed**2, turn])
+
+    def ratio(self, run: Run) -> float:
+        """Measured energy of a run in times that of the others at its speeds."""
+        return float(run.power_w[self.battery] @ run.dt_s / ((self.columns(run) @ self.watts) @ run.dt_s))
 
 
 class Others:

@@ -119,3 +119,46 @@ def test_a_battery_whose_model_needs_a_missing_column_is_skipped_and_said(
     data = json.loads(capsys.readouterr().out)
     assert list(data["batteries"]) == ["robot"]
     assert any("battery 'laptop' is skipped" in note and "scheme" in note for note in data["notes"])
+
+
+def write(folder: Path, count: int, **changes: float) -> None:
+    """So many drives of the robot, noise on their power [W]; `changes`: of the power of one run, by its name."""
+    for number in range(count):
+        columns, name = drive(rows=300, seed=number), f"run_{number:02d}"
+        power = true_power(columns) + np.random.default_rng(number).normal(0.0, 0.1 * number, 300)
+        table = {one: c.texts() if isinstance(c, Labels) else np.round(c, 6) for one, c in columns.items()}
+        table["power_robot_w"] = power * changes.get(f"{name}_times", 1.0) + changes.get(f"{name}_more", 0.0)
+        with open(folder / f"{name}.csv", "w", newline="", encoding="utf-8") as handle:
+            writer = csv.writer(handle)
+            writer.writerow(table)
+            writer.writerows(zip(*table.values(), strict=True))
+
+
+def test_every_model_is_compared_on_the_same_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A run that lies beside the others and the model is told and stays in the numbers; one in milliwatts goes out."""
+    write(tmp_path, 6, run_04_more=6.0, run_05_times=1000.0)
+    saved = tmp_path / "c.json"
+    assert run_command(["compare", "--robot", "pioneer3dx", str(tmp_path), "--json", str(saved)]) == 1
+    data = json.loads(saved.read_text("utf-8"))
+    assert data["runs"] == [f"run_{number:02d}" for number in range(5)]
+    assert [line.split(":")[0] for line in data["left_out"]] == ["run_05"]
+    (told,) = [
+        note for note in data["notes"] if "every model is compared on the same runs: run_04: power_robot_w" in note
+    ]
+    assert "run_05" not in told
+    assert f" {data['batteries']['robot']['run_energy_error_pct']:.2f} │" in capsys.readouterr().out
+
+
+def test_of_many_runs_the_worst_stand_first_and_the_rest_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path, 20)
+    run_command(["compare", "--robot", "pioneer3dx", str(tmp_path), "--json", str(tmp_path / "c.json")])
+    data = json.loads((tmp_path / "c.json").read_text("utf-8"))
+    errors = [run["energy_error_pct"] for run in data["batteries"]["robot"]["per_run"]]
+    assert len(errors) == 20
+    out = capsys.readouterr().out
+    table = out[out.index("Runs, the worst first") :].splitlines()
+    shown = [float(line.split("│")[5].replace("−", "-")) for line in table if line.startswith("│run_")]
+    assert shown == pytest.approx(sorted(errors, key=lambda error: -abs(error))[: len(shown)], abs=0.005)
+    assert any(line.startswith(f"│the other {20 - len(shown)} ") for line in table)

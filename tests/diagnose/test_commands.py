@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command
+from missionsim.files import sha256
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
 
@@ -125,7 +126,10 @@ def test_add_effect_lowers_the_error_on_runs_that_were_not_used(folders: dict[st
     text = robot.read_text(encoding="utf-8")
     assert "# Pioneer 3DX with a laptop" in text  # comments are kept
     assert "effect: turning_scrub" in text
-    assert "sha256" in text
+    # which logs it was fitted to, and what they covered, stands once
+    logs = sorted(folders["train"].glob("*.csv"))
+    assert [text.count(sha256(log)[:8]) for log in logs] == [*[1] * (len(logs) - 1), 0]  # the last is held out
+    assert text.count("range:") == 1
     assert "p_value" in text
     before = compare("pioneer3dx", folders["held"], tmp_path)
     after = compare(str(robot), folders["held"], tmp_path)

@@ -71,6 +71,26 @@ def test_a_script_keeps_the_robots_limits_and_the_length() -> None:
         assert {"payload_kg", "surface", "on_kinect"} <= set(columns)
 
 
+def test_a_car_is_not_asked_to_stop_more_often_than_it_can() -> None:
+    """Not every 12 s at 71 km/h: with the accelerations of its logs it reaches the speed between any two stops."""
+    time_s = np.arange(1200.0)
+    accel = np.clip(3.0 * np.sin(time_s / 20.0), -2.0, 1.5)
+    speed = 18.0 - 60.0 * np.cos(time_s / 20.0) / 4.0
+    car = derive({"time_s": time_s, "speed_m_s": speed, "accel_m_s2": accel}, time_s, np.ones(1200))
+    site = site_of([car], {"max_speed": 33.0})
+    manoeuvre = next(m for m in library(site) if m.name == "stop and go")
+    columns = script(manoeuvre, site)
+    v, (part,) = columns["speed_m_s"], manoeuvre.parts
+    assert np.abs(columns["accel_m_s2"]).max() <= 1.5
+    stretches = np.split(v, np.flatnonzero(v == 0.0))
+    reached = [stretch.max() for stretch in stretches if len(stretch) > 4]
+    assert len(reached) == part.stops + 1
+    assert min(reached) == pytest.approx(site.cruise_m_s)
+    assert f"at {site.cruise_m_s:g} m/s with a full stop every 90 s" in manoeuvre.do
+    robot = next(m for m in library(site_of([covariates()], LIMITS)) if m.name == "stop and go")
+    assert "with a full stop every 12 s" in robot.do
+
+
 def test_a_manoeuvre_stands_and_weighs_as_it_says() -> None:
     model = Subject.of(load_robot("pioneer3dx")).model
     logged = covariates(payload_kg=np.repeat([0.0, 5.0], 100))

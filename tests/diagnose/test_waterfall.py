@@ -25,7 +25,7 @@ from missionsim.diagnose.waterfall import (
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.identify.noise import mean_variance
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
-from tests.diagnose.test_words import BATTERY, HELD
+from tests.diagnose.test_words import BATTERY, GRADE, HELD
 
 WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")
 
@@ -40,6 +40,17 @@ def improved(after_pct: float, runs: int = 1) -> Improved:
         Step("noise floor", 0.6, 0.34),
     )
     return Improved("robot", "", ("grade",), (), steps, True, first, replace(first, effects=()), stopped="stopped.")
+
+
+def test_what_was_added_is_told_with_the_size_that_the_file_has() -> None:
+    """And with the one that it was found with, where what came in later changed it."""
+    done = replace(improved(0.1), written=(replace(GRADE, energy_share=0.045),))
+    assert replace(done, asked={"grade": 0.199}).told == (
+        "grade (4.5 % of the energy, 19.9 % before the others came in)"
+    )
+    done = replace(done, asked={"grade": 0.047})
+    assert done.told == "grade (4.5 % of the energy)"
+    assert "Added: grade (4.5 % of the energy). The power error" in improve_page("r", [done])
 
 
 def test_energy_note_is_silent_where_both_errors_fall() -> None:

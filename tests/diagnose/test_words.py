@@ -113,7 +113,47 @@ def test_found() -> None:
     assert "aerodynamic_drag < 1.1 % of energy; these data say nothing of conversion_loss" in told
     assert "energy error 4.60 → 2.70 (recalibrated) → 1.20 % (with the effects)" in told
     assert "BASE recalibrated, no discovery: c3 +4.2 % (+1.4 sd)" in told
-    assert "radio_range (needs access_point_distance_m)" in told
+    assert "UNTESTABLE without access_point_distance_m: radio_range" in told
+
+
+def test_what_cannot_be_tested_stands_by_the_column_that_is_missing() -> None:
+    needs = {"cpu_load": ("cpu_load",), "grade": ("slope_rad",), "cpu_frequency": ("cpu_load", "cpu_freq_hz")}
+    lines = [line for heading, line in words.report(replace(BATTERY, untestable=needs)) if heading == "UNTESTABLE"]
+    assert lines == ["without cpu_load: cpu_load, cpu_frequency (and cpu_freq_hz)", "without slope_rad: grade"]
+
+
+def test_a_parameter_at_its_bound_or_without_a_width_is_told_in_words() -> None:
+    floors = {"k_ice": Estimate(1e-9, -94.0, 94.0, "N"), "k_snow": Estimate(80.0, -20.0, 180.0, "N")}
+    found = Finding(effect="surface_rolling_resistance", parameters=floors, energy_share=0.1, p_value=1e-6)
+    assert words.parameters_told(found) == "k_ice = 0 N, its least (95 % up to 94), k_snow = 80 N (95 % −20 to 180)"
+    back = {"regeneration": Estimate(0.81, 0.42, 1.2), "relief": Estimate(1.0, 1.0, 1.0)}
+    braking = replace(found, effect="grade", parameters=back)
+    assert words.parameters_told(braking) == "regeneration = 0.81 (95 % 0.42 to 1), relief = 1 (chosen, not fitted)"
+    full = replace(braking, parameters={"regeneration": Estimate(1.0, 0.9, 1.1)})
+    assert words.parameters_told(full) == "regeneration = 1, its most (95 % down to 0.9)"
+
+
+def test_a_candidate_of_the_robot_file_is_told_by_its_name_and_once() -> None:
+    """Not "Camera_off takes less …; that is camera_off."."""
+    less = {"k": Estimate(-0.57, -0.7, -0.4, "W")}
+    own = Finding(effect="camera_off", parameters=less, energy_share=-0.037, p_value=1e-9)
+    assert words.headline(replace(BATTERY, effects=(own,))) == (
+        "The effect camera_off takes 0.570 W less than the model says (3.7 % of the energy)."
+    )
+
+
+def test_a_share_of_which_much_comes_back_is_told_net() -> None:
+    """Not 112 % of the energy."""
+    back = {**GRADE.parameters, "regeneration": Estimate(0.7, 0.6, 0.8)}
+    speeding = replace(GRADE, effect="acceleration", parameters=back, energy_share=1.12, back=0.81, share_low=0.9)
+    speeding = replace(speeding, share_high=1.3)
+    one = replace(BATTERY, effects=(speeding,))
+    assert words.headline(one).startswith(
+        "Changing speed costs 31.0 % of the energy (112.0 % taken, 81.0 % given back)"
+    )
+    assert "acceleration: 31.0 % of energy: 112.0 % (95 % 90.0 to 130.0) taken, 81.0 % given back" in text(one)
+    page = diagnosis_page(Diagnosis("r", {"robot": one}))
+    assert '<div class="tile-value">31.0 % of the energy</div>' in page
 
 
 def test_nothing_is_excluded_of_what_may_be_the_cause() -> None:
@@ -262,10 +302,3 @@ def test_limits_above_half_of_the_energy_say_nothing_and_eight_are_shown() -> No
 )
 def test_nothing_is_called_surer_than_it_is(p_value: float, told: str) -> None:
     assert told in sentences.sure(replace(BATTERY, effects=(replace(GRADE, p_value=p_value),)))
-
-
-def test_what_gives_back_is_told_before_it_does() -> None:
-    back = {**GRADE.parameters, "regeneration": Estimate(0.7, 0.6, 0.8)}
-    assert "3.3 % of the energy, before what comes back, that the model" in sentences.missing(
-        replace(GRADE, parameters=back)
-    )

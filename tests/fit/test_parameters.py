@@ -190,11 +190,11 @@ def test_hashes_tell_logs_apart(tmp_path: Path) -> None:
 def test_every_run_of_many_is_known_again() -> None:
     many = [drawing(LOGS[0], LOGS[0].power_w["robot"] + 0.001 * i) for i in range(2500)]
     for count in (54, 600):  # more than a line of the file holds
-        text = Editing(robot_text("pioneer3dx")).set_source("calibration", fitted_source(many[:count])).text
+        text = Editing(robot_text("pioneer3dx")).set_source("calibration", fitted_source(many[:count]), {}).text
         source = robot_from_text(text).sources["calibration"]
         assert all(fitted_to(source, [log]) for log in many[:count])
         assert not fitted_to(source, many[count : count + 40])
-    text = Editing(robot_text("pioneer3dx")).set_source("calibration", fitted_source(many)).text
+    text = Editing(robot_text("pioneer3dx")).set_source("calibration", fitted_source(many), {}).text
     source = robot_from_text(text).sources["calibration"]
     assert all(fitted_to(source, many[i : i + 20]) for i in range(0, 2500, 20))
     # as it was written before, for more than 40 runs

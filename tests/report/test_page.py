@@ -47,6 +47,12 @@ def comparison() -> Comparison:
     return compare(friction_model(), logs)
 
 
+def test_the_headline_stands_before_the_links(comparison: Comparison) -> None:
+    html = compare_page(comparison)
+    assert html.index("<h1>") < html.index('class="verdict') < html.index("<nav") < html.index('class="tiles"')
+    assert html.count("<nav") == 1
+
+
 class Outside(HTMLParser):
     """Everything in the markup that would make a browser ask for something."""
 

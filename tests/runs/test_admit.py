@@ -172,19 +172,18 @@ def test_the_command_says_it_first_and_exits_with_one(
 
 def test_held_out_runs_that_test_nothing_are_named_and_bad_predictions_stay(runs: list[Run]) -> None:
     """Their names may be those of fitted runs; more of them than fitted ones may be in another unit."""
-    model = build_power_model(load_robot("pioneer3dx"))
     dear = replace(runs[3], power_w={"robot": 1.8 * runs[3].power_w["robot"]})
     cut = runs[1].rows_where(slice(40, -30))
     others = [drive(seed, seconds=200.0) for seed in range(4, 7)]
     milli = [replace(run, power_w={"robot": 1000.0 * run.power_w["robot"]}) for run in others]
     bad = replace(runs[0], run="run_03", remarks=(Remark("range", "power_robot_w", "below zero", "none", "error"),))
-    kept, lines = admit_to_test([dear, bad, cut, *milli], runs[:3], model)
+    kept, lines = admit_to_test([dear, bad, cut, *milli], runs[:3])
     assert [run.run for run in kept] == ["run_03"]
     assert lines.pop().startswith("held-out run_03: power_robot_w")
     assert lines[0] == "held-out run_01: a copy of run_01 but for noise, which is fitted: it tests nothing"
-    assert [" times the other runs against the model: another unit?" in line for line in lines[1:]] == [True] * 3
+    assert [" times what the other runs draw so: another unit?" in line for line in lines[1:]] == [True] * 3
     with pytest.raises(InputError, match="it tests nothing"):
-        admit_to_test([cut], runs[:3], model)
+        admit_to_test([cut], runs[:3])
 
 
 def test_an_offset_of_one_meter_is_named_in_watts(runs: list[Run]) -> None:

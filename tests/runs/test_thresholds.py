@@ -34,27 +34,20 @@ def run(name: str, watts: np.ndarray | None = None, **columns: np.ndarray) -> Lo
         ((-0.5, -0.5, -0.5, 0.0, 0.5, 0.5), np.exp(2.05), "another unit?"),
     ],
 )
-def test_a_level_that_is_far_from_the_others(
-    monkeypatch: pytest.MonkeyPatch, others: tuple[float, ...], times: float, told: str
-) -> None:
-    """Logarithms of measured over modelled energy in the other runs, and the ratio of the last."""
-    monkeypatch.setattr(admit, "_ratio", lambda ratio, _: ratio)
+def test_a_level_that_is_far_from_the_others(others: tuple[float, ...], times: float, told: str) -> None:
+    """Logarithms of measured over expected energy in the other runs, and the ratio of the last."""
     runs = [SimpleNamespace(run=f"{i}", columns={}) for i in range(len(others) + 1)]
-    found = admit._factors(runs, [*np.exp(others), times], None, "robot")
+    found = admit._factors(runs, [*np.exp(others), times], lambda _: 1.0, "robot")
     words = {**found[0], **found[1]}
     assert words.keys() == ({runs[-1].run} if told else set())
     assert all(text.partition(told)[1] for text in words.values())
 
 
 @pytest.mark.parametrize(("left", "explained"), [(1.2, True), (1.3, False), (0.84, True), (0.76, False)])
-def test_another_unit_of_the_speed_explains_what_it_mends(
-    monkeypatch: pytest.MonkeyPatch, left: float, explained: bool
-) -> None:
-    monkeypatch.setattr(admit, "_ratio", lambda ratio, _: ratio)
-    monkeypatch.setattr(admit, "drive", lambda *_: left)
+def test_another_unit_of_the_speed_explains_what_it_mends(left: float, explained: bool) -> None:
     speeds = [np.linspace(0.0, top, 50) for top in (1.0, 1.0, 1.0, 3.6)]
     runs = [run(f"{i}", speed_m_s=speed) for i, speed in enumerate(speeds)]
-    found, doubtful = admit._factors(runs, [1.0, 1.0, 1.0, 3.0], None, "robot")
+    found, doubtful = admit._factors(runs, [1.0, 1.0, 1.0, 3.0], lambda _: left, "robot")
     assert ("km/h" in found.get("3", "")) is explained
     assert ("3" in doubtful) is not explained
 
