@@ -161,6 +161,11 @@ _TERMS = (1.0 / np.prod(_APART, axis=1))[:, None] / (_ENDS[None, :] - NODES[:, N
 _TO_ENDS = np.asarray(_TERMS / _TERMS.sum(axis=0))
 _KINK = 0.25 * _GAP
 """A kink beyond the outermost node that moves the power at the end by 1 moves the mean by this much at most."""
+_MEAN = np.append(0.5 * WEIGHTS, np.zeros(len(_ENDS)))
+_RULES = np.column_stack([
+    _MEAN, np.append(0.5 * GAUSS_WEIGHTS, np.zeros(len(_ENDS))) - _MEAN, np.vstack([-_TO_ENDS, np.eye(len(_ENDS))])
+])  # fmt: skip
+"""Of powers at `SAMPLES`: mean, Gauss rule less that, and how far the ends are from the polynomial."""
 
 
 def averaged(powers: Array) -> tuple[Array, Array, Array]:
@@ -170,18 +175,17 @@ def averaged(powers: Array) -> tuple[Array, Array, Array]:
     difference to the Gauss rule: what is not smooth between the nodes; `bent` (shape (...)): bound of what a kink
     beyond the outermost nodes changes.
     """
-    inside, ends = powers[..., : len(NODES)], powers[..., len(NODES) :]
-    mean = inside @ (0.5 * WEIGHTS)
-    spread = np.abs(inside @ (0.5 * GAUSS_WEIGHTS) - mean)
-    return mean, spread, _KINK * np.abs(ends - inside @ _TO_ENDS).max(axis=-1)
+    found = powers @ _RULES
+    return found[..., 0], np.abs(found[..., 1]), _KINK * np.abs(found[..., 2:]).max(axis=-1)
 
 
 def integrate(
-    model: PowerModel, timeline: Timeline, values: Mapping[str, Value] | None = None
+    model: PowerModel, timeline: Timeline, values: Mapping[str, Value] | None = None, tolerance: float | None = None
 ) -> dict[str, dict[TermKey, Array]]:
     """Energy of each term in each interval.
 
     `timeline`: with arrays of shape (n,). `values`: parameters that differ from the model's, scalars or of shape (n,).
+    `tolerance`: relative error that will do; then the caller sees to it that no transient was missed.
     Gives battery → term key → energy [J], shape (n,). Impulses (starts from rest) are in the interval they begin.
     """
     count = len(timeline)
@@ -195,7 +199,7 @@ def integrate(
     if index.size:
         length = timeline.duration_s[index]
         offset = np.zeros(index.size)
-        if model.memory or model.lags:
+        if tolerance is None and (model.memory or model.lags):
             # begun with 1, 1, 2, 4, 8 … s where a term may fade after the start: a quadrature over hours would not see
             # a transient of seconds at their beginning, nor notice that it did not
             cuts = [
@@ -204,7 +208,7 @@ def integrate(
             lengths = [np.diff(cut) for cut in cuts]
             index = np.repeat(index, [len(one) for one in lengths])
             offset, length = np.concatenate([cut[:-1] for cut in cuts]), np.concatenate(lengths)
-        _quadrature(model, timeline, values or {}, index, offset, length, energies)
+        _quadrature(model, timeline, values or {}, index, offset, length, energies, tolerance or RELATIVE_TOLERANCE)
     for key, joules in model.impulses(cov, values).items():
         energies[key.battery][key] = energies[key.battery][key] + np.broadcast_to(joules, (count,))
     return energies
@@ -297,6 +301,7 @@ def _quadrature(
     offset: Array,
     length: Array,
     energies: dict[str, dict[TermKey, Array]],
+    tolerance: float,
 ) -> None:
     """Put the integrals over pieces of intervals in place of the constant powers' energies, for terms that change.
 
@@ -323,10 +328,10 @@ def _quadrature(
                     whole = np.broadcast_to(watts, times.shape)
                     mean, apart, beyond = averaged(whole)
                     parts[key] = length * mean
-                    scale += np.abs(whole[:, : len(NODES)]) @ (0.5 * WEIGHTS)
+                    scale += np.abs(whole) @ _MEAN
                     spread += apart
                     bent += beyond
-            bad |= (spread > RELATIVE_TOLERANCE * scale) | (bent > RELATIVE_TOLERANCE * scale)
+            bad |= (spread > tolerance * scale) | (bent > tolerance * scale)
         if not halving_helps(depth, index.size, len(timeline)):
             bad[:] = False
         good = ~bad

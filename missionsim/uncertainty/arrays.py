@@ -2,9 +2,10 @@
 
 A mission qualifies when its events cannot change their order: no charger, no activities, no chance, batteries of
 constant energy. Its plan is made on arrays of draws (`missionsim.plan.build.plan_runs`), its powers by the same
-`PowerModel`; terms that no draw changes are evaluated once. Before use, runs at the edges and in the middle of the
-distributions are compared with SimPy; and a run in which a battery comes to a threshold, or whose plan has another
-shape, is given back to SimPy, since there the events do change.
+`PowerModel`; what no draw changes has no axis of runs. Intervals in which power changes are integrated as the engine
+does it, those of all runs one after the other. Before use, runs at the edges and in the middle of the distributions are
+compared with SimPy; and a run in which a battery comes to a threshold, or whose plan has another shape, is given back
+to SimPy, since there the events do change.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Columns, Truth
-from missionsim.effects.model import PowerModel, TermKey
-from missionsim.effects.timeline import SAMPLES
+from missionsim.effects.covariates import Columns, Truth, is_clock
+from missionsim.effects.model import PowerModel, Term, TermKey
+from missionsim.effects.timeline import SAMPLES, integrate
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values
@@ -56,10 +57,6 @@ class ArrayMission:
     sampler: Sampler
     plan: Plan
     """At the nominal values."""
-    varying: PowerModel
-    """The terms that some draw changes."""
-    fixed: Mapping[tuple[str, str], Array]
-    """Battery and component → power of all other terms on each part [W], shape (parts,)."""
     parts: tuple[Part, ...]
     """What the nominal run consists of: its legs, and waits for components that start up."""
 
@@ -112,12 +109,16 @@ class ArrayMission:
         columns |= {f"charge_{name}_wh": np.empty((matrices.PROGRESS_POINTS, count)).T for name in batteries}
         return columns | {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in batteries}
 
+    def _planned(self, draws: Draws) -> tuple[RunSetup, dict[str, Array]]:
+        """The plan of some runs with what goes with it, and parameters of the model, each of shape (runs, 1)."""
+        numbers, drawn = split_values(draws, self.model)
+        setup = RunSetup(self.mission, plan_runs(self.mission, numbers), self.model, numbers, {})
+        return setup, {name: np.asarray(value)[:, None] for name, value in drawn.items()}
+
     def _part(self, draws: Draws, count: int, columns: Mapping[str, NDArray[Any]], again: NDArray[np.bool_]) -> None:
         """Plan some runs and evaluate them in pieces."""
-        numbers, drawn = split_values(draws, self.model)
-        plan = plan_runs(self.mission, numbers)
-        setup = RunSetup(self.mission, plan, self.model, numbers, {})
-        values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
+        setup, values = self._planned(draws)
+        plan = setup.plan
         limited = [leg.pace.limited for leg in plan.legs]
         columns["speed_limited"][:] = functools.reduce(np.logical_or, limited, False)
         if plan.odd is not None:
@@ -151,32 +152,32 @@ class ArrayMission:
         """Evaluate some runs into their part of the columns, in J and Wh."""
         duration = intervals.duration(part)
         knots = matrices.running_sum(duration.T)
-        cov, rates = self.covariates(intervals, part, duration, knots)
-        parts = {(b, c): columns[f"component_{b}_{c}_wh"] for b, c in components_of(self.model)}
-        energy, doubt = self._energies(cov, rates, duration, knots[-1], values, parts, intervals.part_of)
-        for joules in parts.values():
-            joules *= 1.0 / J_PER_WH
-        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], matrices.distance_of(cov, duration)
         sound = np.isfinite(knots[-1]) & (duration.min(axis=1) >= 0.0)
         again |= ~sound
         if not sound.all():
-            knots = np.where(sound, knots, 0.0)
+            duration, knots = np.where(sound[:, None], duration, 0.0), np.where(sound, knots, 0.0)
+        cov, rates = self.covariates(intervals, part, duration, knots)
+        parts = {(b, c): columns[f"component_{b}_{c}_wh"] for b, c in components_of(self.model)}
+        energy = self._energies(cov, rates, duration, knots, values, parts, intervals.part_of)
+        for joules in parts.values():
+            joules *= 1.0 / J_PER_WH
+        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], matrices.distance_of(cov, duration)
         progress = matrices.Progress(knots, matrices.PROGRESS_POINTS)
         for name, battery in setup.batteries.items():
             capacity, initial, reserve = (
                 number[part] if isinstance(number, np.ndarray) else number
                 for number in (battery.capacity_j, battery.initial, setup.required[name])
             )
-            even = self._even.get(name)
-            if even is None:
-                spent = matrices.running_sum(energy[name].T)
-                total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
-            else:  # a power that never changes
-                total = most = even * knots[-1]
+            given = energy[name]
+            if isinstance(given, float):  # a power that never changes
+                total = most = given * knots[-1]
                 charge = np.multiply.outer(_PARTS, total)
+            else:
+                spent = matrices.running_sum(given.T)
+                total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
             net = total
             if docked := [i for i, leg in enumerate(intervals.legs) if leg.recharge and name in leg.recharge.batteries]:
-                used = even * duration if even is not None else energy[name]
+                used = given * duration if isinstance(given, float) else given
                 assert isinstance(battery, ConstantEnergy)
                 store = replace(battery, capacity_j=capacity, initial=initial)
                 course = charge_course(store, docked, intervals, part, used.T, knots)
@@ -187,7 +188,6 @@ class ArrayMission:
             left = initial - net
             floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
             again |= ~(initial - most > floor + slack)  # also where it is not a number
-            again |= doubt > AGREEMENT * np.abs(total)
             np.less(left, required - slack, out=columns[f"{_BELOW}{name}"])
             for quantity, joules in (
                 ("energy", total),
@@ -242,124 +242,88 @@ class ArrayMission:
         return cov, rates
 
     @functools.cached_property
-    def _fixed(self) -> tuple[dict[str, Any], dict[tuple[str, str], float], list[tuple[str, str]], Array]:
-        """Powers that no draw changes. Of each battery, by leg or one number for all; of the components that have the
-        same on all legs; the components that do not, and theirs as columns."""
-        total: dict[str, Any] = {name: np.zeros(len(self.parts)) for name in self.model.batteries}
-        even, changing = {}, []
-        for key, watts in self.fixed.items():
-            total[key[0]] = total[key[0]] + watts
-            if np.all(watts == watts[0]):
-                even[key] = float(watts[0])
-            else:
-                changing.append(key)
-        columns = np.stack([self.fixed[key] for key in changing], axis=1) if changing else np.zeros((0, 0))
-        for name, watts in total.items():
-            total[name] = float(watts[0]) if np.all(watts == watts[0]) else watts
-        return total, even, changing, columns
-
-    @functools.cached_property
-    def _impulsive(self) -> bool:
-        return any(term.effect.impulse is not None for term in self.model.terms)
-
-    @functools.cached_property
-    def _even(self) -> dict[str, float]:
-        """Power [W] of the batteries whose power is the same, and not below zero, in all intervals of all runs."""
-        return {
-            name: watts
-            for name, watts in self._fixed[0].items()
-            if not self._impulsive and not self.varying.of(name) and isinstance(watts, float) and watts >= 0.0
-        }
-
-    @functools.cached_property
-    def _driving(self) -> dict[str, list[TermKey]]:
-        """The terms of each battery whose sum the regeneration bends at zero."""
-        model = self.varying
-        return {b: [t.key for t in model.of(b) if t.effect.drive or t.limited] for b in model.batteries}
+    def _split(self) -> tuple[PowerModel, dict[str, dict[str, Array]]]:
+        """The terms that some draw changes, or an interval, as two runs tell; of each battery the power of the others
+        on each part [W], by component. A term that stands with others (in a loss of the load, in what the drive is
+        relieved of) changes with them; one whose only numbers are zero and not drawn is none."""
+        setup, values = self._planned(self.sampler.at({v.name: np.array([0.3, 0.7]) for v in self.sampler.values}))
+        intervals, part = self.split(setup)[0], slice(0, 2)
+        duration = intervals.duration(part)
+        cov, rates = self.covariates(intervals, part, duration, matrices.running_sum(duration.T))
+        for name in [*(name for name, rate in rates.items() if np.any(rate)), *self.model.lags]:
+            cov[name] = np.broadcast_to(cov.get(name, 0.0), duration.shape) + np.array([[0.0], [1.0]])
+        kept, still = list[Term](), {name: dict[str, Array]() for name in self.model.batteries}
+        parts, first = np.unique(intervals.part_of, return_index=True)
+        if len(parts) < len(self.parts):
+            return self.model, still
+        for battery, powers in self.model.evaluate(cov, values).items():
+            terms = [
+                term
+                for term in self.model.of(battery)
+                if any(p.value or f"{battery}/{term.name_of(n)}" in values for n, p in term.parameters.items())
+                or np.any(powers[term.key])
+            ]
+            changing = {term.key for term in terms if np.shape(powers[term.key])[:-1] == (2,)}
+            load = any(term.effect.of_load for term in terms)
+            relieved = any(term.limited and term.key in changing for term in terms)
+            for term in terms:
+                rows, component = still[battery], term.key.component
+                if load or term.key in changing or (relieved and (term.effect.drive or term.limited)):
+                    kept.append(term)
+                else:
+                    watts = np.broadcast_to(np.asarray(powers[term.key], dtype=float), (1, duration.shape[1]))[0, first]
+                    rows[component] = rows[component] + watts if component in rows else watts
+        return replace(self.model, terms=tuple(kept)), still
 
     def _energies(
         self,
-        cov: dict[str, Any],
-        rates: dict[str, Any],
+        cov: Columns,
+        rates: Columns,
         duration: Array,
-        time_s: Array,
+        knots: Array,
         values: Mapping[str, Array],
         parts: Mapping[tuple[str, str], Array],
         part_of: NDArray[np.intp],
-    ) -> tuple[dict[str, Array], Any]:
-        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `parts`. Also how
-        far the energy of each run may be off [J]: far, where a term has a kink inside an interval."""
-        doubt: Any = 0.0
-        total, even, changing, powers = self._fixed
-        total = {name: watts if isinstance(watts, float) else watts[part_of] for name, watts in total.items()}
-        curved_at = np.ones(duration.shape[1], dtype=bool)  # in which intervals power changes
-        if not (self.model.memory or self.model.lags or "time_s" in self._needs):
-            changing_in = [np.any(rate != 0.0, axis=0) if np.ndim(rate) > 1 else rate != 0.0 for rate in rates.values()]
-            curved_at = np.broadcast_to(functools.reduce(np.logical_or, changing_in), curved_at.shape)
-        for key, watts in even.items():
-            np.multiply(time_s, watts, out=parts[key])
-        for key, joules in zip(changing, (duration @ powers[part_of]).T if changing else (), strict=True):
-            parts[key][:] = joules
-        steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
-        energy = {name: duration * total[name] for name in steady_loads}
-        lags = matrices.lags_within(self.varying, cov, rates, duration, values)
-
-        def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, sampled: bool = False) -> None:
-            nonlocal doubt
-            whole = length is duration
-            lasts = time_s if whole else length.sum(axis=1)
-            for battery, terms in powers.items():
-                mean = total[battery] if isinstance(total[battery], float) else total[battery][where]
-                means = terms
-                if sampled:
-                    means, off = matrices.mean_powers(
-                        terms, length, functools.partial(inside, battery), self._driving[battery]
-                    )
-                    doubt = doubt + (length * off).sum(axis=1)
-                for key, watts in means.items():
-                    watts = np.asarray(watts, dtype=float)
-                    if watts.shape == (len(length), 1):  # the same in all intervals
-                        joules = lasts * watts[:, 0]
-                    else:
-                        joules = np.einsum("ij,ij->i", length, np.broadcast_to(watts, length.shape))
-                    parts[battery, key.component] += joules
-                    if np.shape(mean) == length.shape:
-                        mean += watts
-                    else:
-                        mean = mean + watts
-                if terms and whole:
-                    energy[battery] = np.multiply(length, mean, out=mean if np.shape(mean) == length.shape else None)
-                elif terms:
-                    if battery not in energy:
-                        energy[battery] = np.zeros(duration.shape[::-1]).T
-                    energy[battery][:, where] = length * mean
-
-        def inside(battery: str, rows: Any, columns: Any, times: Array) -> dict[TermKey, Any]:
-            columns = np.flatnonzero(curved_at)[columns]
-            at = matrices.at_times(cov, rates, rows, columns, times)
-            at |= {name: lag(rows * duration.shape[1] + columns, times[:, None])[:, 0] for name, lag in lags.items()}
-            return self.varying.evaluate(at, {name: value[rows, 0] for name, value in values.items()}, battery)[battery]
-
-        if self.varying.terms and not curved_at.any():
-            book(self.varying.evaluate(cov, values), slice(None), duration)
-        elif self.varying.terms:
-            steady, curved = np.flatnonzero(~curved_at), np.flatnonzero(curved_at)
-            if steady.size:
-                book(self.varying.evaluate(matrices.take(cov, steady), values), steady, duration[:, steady])
-            length = duration[:, curved]
-            times = (0.5 * length[..., None] * (SAMPLES + 1.0)).reshape(len(length), -1)
-            repeated = np.repeat(curved, len(SAMPLES))
-            nodes = matrices.take(cov, repeated)  # in their last axis interval by interval
-            for name, change in rates.items():
-                if np.any(change):
-                    nodes[name] = nodes[name] + times * np.asarray(change)[..., repeated]
-            every = np.add.outer(np.arange(len(length)) * duration.shape[1], curved).ravel()
-            for name, lag in lags.items():
-                nodes[name] = lag(every, times.reshape(-1, len(SAMPLES))).reshape(times.shape)
-            book(self.varying.evaluate(nodes, values), curved, length, sampled=True)
-        if self._impulsive:
-            for term, impulse in self.model.impulses(cov, values).items():
-                spread = np.broadcast_to(impulse, duration.shape)
-                energy[term.battery] += spread
-                parts[term.battery, term.component] += spread.sum(axis=1)
-        return energy, doubt
+    ) -> dict[str, Array | float]:
+        """Energy by battery and interval, shape (runs, intervals), in J; the power of a battery in W where it never
+        changes. By component it is added to `parts`."""
+        (model, still), energy, lasts = self._split, dict[str, Array | float](), knots[-1]
+        changing = np.full(len(part_of), bool(model.lags))
+        for rate in (np.asarray(rate) for name, rate in rates.items() if name in model.memory or not is_clock(name)):
+            changing |= rate.any(axis=0) if rate.ndim > 1 else rate != 0.0
+        curved, steady, steady_s = np.flatnonzero(changing), duration, lasts
+        inside: dict[str, dict[TermKey, Array]] = {}
+        if curved.size:
+            flat = matrices.one_after_the_other(cov, rates, duration, knots, curved)
+            own = {name: np.repeat(value[:, 0], curved.size) for name, value in values.items()}
+            inside = integrate(model, flat, own, AGREEMENT)
+            steady = np.where(changing, 0.0, duration)
+            steady_s = steady.sum(axis=1)
+        impulses = model.impulses(cov, values)
+        for battery, terms in model.evaluate(cov, values).items():
+            mean = np.zeros(len(part_of))
+            for component, row in still[battery].items():
+                watts = row[part_of]
+                parts[battery, component] += lasts * row[0] if (row == row[0]).all() else duration @ watts
+                mean = mean + watts
+            if not terms and (mean >= 0.0).all() and (mean == mean[0]).all():
+                energy[battery] = float(mean[0])
+                continue
+            energy[battery] = joules = duration * mean
+            for key, given in terms.items():
+                watts = np.asarray(given, dtype=float)
+                if watts.shape == (len(duration), 1):  # the same in all intervals
+                    booked = steady_s * watts[:, 0]
+                else:
+                    booked = np.einsum("ij,ij->i", steady, np.broadcast_to(watts, duration.shape))
+                joules += steady * watts
+                if curved.size:
+                    pieces = inside[battery][key].reshape(-1, curved.size)
+                    joules[:, curved] += pieces
+                    booked += pieces.sum(axis=1)
+                if key in impulses:  # those of intervals in which power changes are in them
+                    spread = np.where(changing, 0.0, impulses[key]) + np.zeros(duration.shape)
+                    joules += spread
+                    booked += spread.sum(axis=1)
+                parts[battery, key.component] += booked
+        return energy

@@ -1,4 +1,4 @@
-"""Matrices of runs × intervals: sums along a run, interpolation at even instants, covariates within intervals.
+"""Matrices of runs × intervals: sums along a run, interpolation at even instants, covariates.
 
 They are kept in Fortran order here and in `arrays`: the runs of one interval lie side by side, so that what holds for
 an interval meets them as one number, and sums over intervals add whole rows.
@@ -7,23 +7,19 @@ an interval meets them as one number, and sums over intervals add whole rows.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Columns, Covariates, Labels, Value
-from missionsim.effects.model import PowerModel, TermKey
-from missionsim.effects.timeline import RELATIVE_TOLERANCE, SAMPLES, averaged, lags_of
+from missionsim.effects.covariates import Columns, Covariates, Labels
+from missionsim.effects.timeline import Timeline
 from missionsim.physics import Array
-from missionsim.physics.lag import GOES_ON, SETTLED, Lagged
 from missionsim.plan.legs import Leg, Phase, Plan
 
 _RATE = "d/dt "
-HALVINGS = 34
-"""Until where a power has its kink is known: what is left of it is beyond its tenth digit."""
 PROGRESS_POINTS = 21
 """Charge of each battery is kept at so many instants, evenly over a run's duration."""
 
@@ -96,99 +92,19 @@ class Progress:
         return found
 
 
-def at_times(
-    cov: Covariates, rates: Covariates, rows: NDArray[np.intp], columns: NDArray[np.intp], times: Array
-) -> Columns:
-    """Covariates within some intervals (`columns`) of some runs (`rows`), `times` after their start; shape (n,)."""
+def one_after_the_other(
+    cov: Covariates, rates: Covariates, duration: Array, knots: Array, which: NDArray[np.intp]
+) -> Timeline:
+    """Some of the intervals of all runs, run by run. `cov`, `rates`, `duration`: shape (runs, intervals) or
+    (intervals,); `knots` (shape (intervals + 1, runs)): instants between them; `which`: intervals."""
 
-    def of(value: Any) -> Any:
-        if hasattr(value, "codes") or np.ndim(value) < 2:
-            return value[columns]
-        return value[rows, columns] if len(value) > 1 else value[0, columns]
+    def flat(value: Any) -> Any:
+        if isinstance(value, Labels):
+            return Labels(np.tile(value.codes[which], len(duration)), value.names)
+        return np.broadcast_to(value, duration.shape)[:, which].ravel()
 
-    found = {name: of(value) for name, value in cov.items()}
-    for name, change in rates.items():
-        if np.any(change):
-            found[name] = found[name] + times * of(np.asarray(change))
-    return found
-
-
-def lags_within(
-    model: PowerModel, cov: Covariates, rates: Covariates, duration: Array, values: Mapping[str, Array]
-) -> dict[str, Lagged]:
-    """The lags that a model reads, within the intervals of all runs, which follow each other run by run."""
-    count = duration.shape[1]
-
-    def at(index: NDArray[np.intp], seconds: Array) -> Columns:
-        rows, columns = np.divmod(np.repeat(index, seconds.shape[1]), count)
-        found = at_times(cov, rates, rows, columns, seconds.ravel())
-        return {
-            name: Labels(value.codes.reshape(seconds.shape), value.names)
-            if isinstance(value, Labels)
-            else np.reshape(value, seconds.shape)
-            for name, value in found.items()
-        }
-
-    def own(index: NDArray[np.intp]) -> dict[str, Array]:
-        return {name: value[index // count] for name, value in values.items()}
-
-    begin = np.where(np.arange(duration.size) % count == 0, SETTLED, GOES_ON)
-    return lags_of(model, at, own, duration.ravel(), dict.fromkeys(model.lags, begin))
-
-
-def take(cov: Covariates, index: NDArray[np.intp]) -> Columns:
-    """Covariates of some intervals."""
-    return {
-        name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
-    }
-
-
-def mean_powers(
-    terms: Mapping[TermKey, Value],
-    length: Array,
-    inside: Callable[[NDArray[np.intp], NDArray[np.intp], Array], Mapping[TermKey, Value]],
-    driving: Sequence[TermKey],
-) -> tuple[dict[TermKey, Array], Array]:
-    """Mean power of each term in each interval, shape (runs, intervals) or (1, intervals), and how far their sum may
-    be off.
-
-    `terms`: powers at the samples of the intervals, in their last axis interval by interval; `length` (shape (runs,
-    intervals)); `inside`: ``(runs, intervals, times)`` → powers there, shape (n,); `driving`: terms whose sum has a
-    kink where it is zero. An interval with such a kink is averaged in two parts.
-    """
-    means: dict[TermKey, Array] = {}
-    off, size = np.zeros(length.shape), np.zeros(length.shape)
-    for key, given in terms.items():
-        powers = np.asarray(given, dtype=float)
-        powers = np.broadcast_to(powers, (*powers.shape[:-1], length.shape[1] * len(SAMPLES)))
-        means[key], spread, bent = averaged(powers.reshape(-1, length.shape[1], len(SAMPLES)))
-        off, size = off + np.maximum(spread, bent), size + np.abs(means[key])
-    rows, columns = np.nonzero((off > RELATIVE_TOLERANCE * size) & (length > 0.0))
-    if driving and rows.size:
-        whole = length[rows, columns]
-        # not from the very ends, where a power may jump
-        low, high = 1e-7 * whole, (1.0 - 1e-7) * whole
-
-        def gives(times: Array) -> NDArray[np.bool_]:
-            powers = inside(rows, columns, times)
-            return np.asarray(sum(powers[key] for key in driving) > 0.0)
-
-        first = gives(low)
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            before = gives(middle) == first
-            low, high = np.where(before, middle, low), np.where(before, high, middle)
-        lengths = np.stack([low, whole - low], axis=1)
-        times = np.stack([np.zeros_like(low), low], axis=1)[..., None] + 0.5 * lengths[..., None] * (SAMPLES + 1.0)
-        each = times[0].size
-        anew = np.zeros(len(whole))
-        for key, watts in inside(np.repeat(rows, each), np.repeat(columns, each), times.ravel()).items():
-            mean, spread, bent = averaged(np.broadcast_to(watts, times.size).reshape(times.shape))
-            means[key] = np.broadcast_to(means[key], length.shape).copy()
-            means[key][rows, columns] = (mean * lengths).sum(axis=1) / whole
-            anew += (np.maximum(spread, bent) * lengths).sum(axis=1) / whole
-        off[rows, columns] = anew
-    return means, off
+    columns, changes = ({name: flat(value) for name, value in given.items()} for given in (cov, rates))
+    return Timeline(flat(knots[:-1].T), flat(duration), columns, changes)
 
 
 @dataclass(frozen=True)

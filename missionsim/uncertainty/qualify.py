@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
-from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import RunSetup, simulate
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
-from missionsim.physics import Array
-from missionsim.plan.build import make_plan, plan_runs
+from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
 from missionsim.uncertainty.draws import Sampler
 from missionsim.uncertainty.events import parts_of
-from missionsim.uncertainty.matrices import running_sum
 from missionsim.uncertainty.single import left_to_chance
 
 _CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
@@ -37,12 +32,12 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
         parts = f"the nominal mission fails: {error}"
     if isinstance(parts, str):
         return parts
-    made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}, parts))
+    made = ArrayMission(mission, model, sampler, plan, parts)
     _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
     if again.mean() > _MOST_AGAIN:
         return (
-            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, a "
-            "value changes what the plan consists of, or a power has a kink inside an interval"
+            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, or a "
+            "value changes what the plan consists of"
         )
     return _disagreement(made) or made
 
@@ -73,53 +68,6 @@ def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
     return ""
 
 
-def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
-    """Evaluate the terms that no draw changes, once and for all.
-
-    Two runs with values of their own are evaluated: what follows from a draw, or changes along a leg, has two rows
-    then. A term with zero as its undrawn coefficient is nought whatever else it depends on.
-    """
-    draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
-    numbers, drawn = split_values(draws, made.model)
-    values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
-    setup, part = RunSetup(made.mission, plan_runs(made.mission, numbers), made.model, numbers, {}), slice(0, 2)
-    intervals, _ = made.split(setup)
-    duration = intervals.duration(part)
-    cov, rates = made.covariates(intervals, part, duration, running_sum(duration.T))
-    for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
-        if np.any(rate):
-            cov[name] = np.broadcast_to(cov[name], duration.shape) + np.array([[0.0], [1.0]])
-    cov |= dict.fromkeys(made.model.lags, np.zeros(duration.shape) + np.array([[0.0], [1.0]]))
-    powers = made.model.evaluate(cov, values)
-    first = np.unique(intervals.part_of, return_index=True)[1]
-    if len(first) != len(made.parts):
-        return made
-    fixed: dict[tuple[str, str], Array] = {}
-    kept = []
-    for battery, watts in powers.items():
-        terms = made.model.of(battery)
-        whole = any(term.effect.of_load for term in terms)
-        shapes = {term.key: np.shape(watts[term.key]) for term in terms}
-        changing = {key for key, shape in shapes.items() if len(shape) == 2 and shape[0] > 1}
-        nought = {
-            term.key
-            for term in terms
-            if [parameter.value for parameter in term.parameters.values()] == [0.0]
-            and f"{battery}/{term.name_of(next(iter(term.parameters)))}" not in values
-            and not np.any(watts[term.key])
-        }
-        relieved = any(term.limited and term.key in changing - nought for term in terms)
-        for term in terms:
-            together = relieved and (term.effect.drive or term.limited) and term.key not in nought
-            if whole or term.key in changing - nought or together:
-                kept.append(term)
-            elif term.key not in nought:
-                place = (battery, term.key.component)
-                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(intervals.part_of)))[0]
-                fixed[place] = fixed.get(place, np.zeros(len(first))) + row[first]
-    return replace(made, varying=replace(made.model, terms=tuple(kept)), fixed=fixed)
-
-
 def _disagreement(made: ArrayMission) -> str:
     """Why the arrays are not to be trusted: the largest difference to SimPy on some draws; empty if none."""
     values, sampler = made.sampler.values, made.sampler
@@ -138,10 +86,7 @@ def _disagreement(made: ArrayMission) -> str:
         for name, battery in result.batteries.items():
             ours = float(columns[f"energy_{name}_wh"][i])
             if not abs(ours - battery.energy_wh) <= AGREEMENT * max(abs(battery.energy_wh), 1e-12):
-                return (
-                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
-                    "(a term has a kink or fades inside an interval)"
-                )
+                return f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}'"
             off = abs(float(columns[f"charge_left_{name}_wh"][i]) - battery.charge_left_wh)
             if not off <= AGREEMENT * battery.capacity_wh:
                 return f"arrays and SimPy differ by {off:.1e} Wh in what is left in battery '{name}'"
