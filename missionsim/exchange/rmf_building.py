@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections import Counter
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
@@ -25,12 +26,26 @@ _LEVEL_USED |= {"flattened_x_offset", "flattened_y_offset"}
 
 
 @dataclass
+class _Vertex:
+    value: Value
+    point: complex | None
+    word: str
+    """Its name; empty where it has none."""
+    parameters: dict[str, Any]
+    used: bool = False
+    """Whether a lane ends at it."""
+    cabin: str = ""
+    """The lift in which it stands."""
+    place: str = ""
+    """What the site calls it."""
+
+
+@dataclass
 class _Level:
     name: str
     value: Value
-    points: list[complex | None] = field(default_factory=list)
-    vertices: list[Value] = field(default_factory=list)
-    lanes: list[tuple[int, int, dict[str, Any], Value]] = field(default_factory=list)
+    vertices: list[_Vertex] = field(default_factory=list)
+    lanes: list[tuple[_Vertex, _Vertex, dict[str, Any], Value]] = field(default_factory=list)
     scale: float = 1.0
     turn: complex = 1.0
     shift: complex = 0.0
@@ -69,31 +84,34 @@ def read(root: Value, site: Site) -> None:
         _project(levels, site, mercator=system == "web_mercator")
     if root.faults.found:
         return
-    cabins = _cabins(root, levels, reference, flip, site)
-    _align_by_lifts(levels, reference, cabins, site, system)
-    _build(levels, cabins, site)
+    _enter_cabins(root, levels, reference, flip, site)
+    if system == "reference_image":
+        _align_by_lifts(levels, reference, site)
+    _build(levels, site)
 
 
 def _read_level(level: _Level, site: Site, flip: float) -> None:
-    for vertex in level.value.entries("vertices"):
-        level.vertices.append(vertex)
-        parts = vertex.entries()
+    for value in level.value.entries("vertices"):
+        parts = value.entries()
         numbers = [part.number() for part in parts[:2]]
         if len(numbers) < 2:
-            vertex.fault("a vertex is [x, y, z, name]", "[x, y, z, name, {…}]")
+            value.fault("a vertex is [x, y, z, name]", "[x, y, z, name, {…}]")
         x, y = [*numbers, None, None][:2]
-        level.points.append(None if x is None or y is None else complex(x, flip * y))
+        point = None if x is None or y is None else complex(x, flip * y)
+        parameters = _parameters(parts[-1]) if len(parts) > 4 or _is_generated(value) else {}
+        word = parts[3].data if len(parts) > 3 else parameters.get("name")
+        level.vertices.append(_Vertex(value, point, str(word or "").strip(), parameters))
     for lane in level.value.entries("lanes"):
-        parts = lane.entries()
-        ends = [_index(part, level) for part in parts[:2]]
-        if len(parts) < 2:
+        ends, parameters = _ends(lane, level)
+        if len(ends) < 2:
             lane.fault("a lane is [from, to]", "[from, to, {…}]")
         if len(ends) < 2 or ends[0] is None or ends[1] is None:
             continue
-        parameters = _parameters(parts[2]) if len(parts) > 2 else {}
-        level.graphs.add(str(parameters.get("graph_idx", 0)))
-        if str(site.options.graph) in ("None", str(parameters.get("graph_idx", 0))):
+        graph = str(parameters.get("graph_idx", 0))
+        level.graphs.add(graph)
+        if str(site.options.graph) in ("None", graph):
             level.lanes.append((ends[0], ends[1], parameters, lane))
+            ends[0].used = ends[1].used = True
     _left(level.value, _LEVEL_USED, site)
     if (height := level.value.get("elevation")) and height.data:
         site.tell("left out: elevation of a level; lanes are level ground", level.value.line)
@@ -105,25 +123,22 @@ def _left(value: Value, used: set[str], site: Site) -> None:
             site.tell(f"left out: {clean(key)[:40]}", part.line)
 
 
-def _index(part: Value, level: _Level) -> int | None:
-    if type(part.data) is int and 0 <= part.data < len(level.vertices):
-        return part.data
-    part.fault("no vertex has this number", f"0 to {len(level.vertices) - 1}")
-    return None
+def _ends(value: Value, level: _Level) -> tuple[list[_Vertex | None], dict[str, Any]]:
+    """Vertices that a lane or a measurement joins, None for one that is not there, and its parameters."""
+    parts = value.entries()
+    ends: list[_Vertex | None] = []
+    for part in parts[:2]:
+        known = type(part.data) is int and 0 <= part.data < len(level.vertices)
+        if not known:
+            part.fault("no vertex has this number", f"0 to {len(level.vertices) - 1}")
+        ends.append(level.vertices[part.node.data] if known else None)
+    return ends, _parameters(parts[2]) if len(parts) > 2 else {}
 
 
 def _is_generated(vertex: Value) -> bool:
     """Whether it is ``[x, y, {name: …}]``, of a graph that was generated of a map: metres, y upwards."""
     parts = vertex.entries()
     return len(parts) == 3 and isinstance(parts[2].data, dict)
-
-
-def _named(vertex: Value) -> tuple[str, dict[str, Any]]:
-    """Name (empty where there is none) and parameters of a vertex: ``[x, y, z, name, {…}]``, or a generated one."""
-    parts = vertex.entries()
-    parameters = _parameters(parts[-1]) if len(parts) > 4 or _is_generated(vertex) else {}
-    word = parts[3].data if len(parts) > 3 else parameters.get("name")
-    return str(word or "").strip(), parameters
 
 
 def _parameters(value: Value) -> dict[str, Any]:
@@ -163,13 +178,12 @@ def _measured(level: _Level, site: Site) -> float | None:
     """m per pixel: the mean of distance over drawn length."""
     found = []
     for measurement in level.value.entries("measurements"):
-        parts = measurement.entries()
-        ends = [_index(part, level) for part in parts[:2]]
-        distance = _parameters(parts[2]).get("distance") if len(parts) > 2 else None
+        ends, parameters = _ends(measurement, level)
+        distance = parameters.get("distance")
         if len(ends) < 2 or ends[0] is None or ends[1] is None or not isinstance(distance, (int, float)):
             measurement.fault("a measurement is two vertices and their distance", "[0, 1, {distance: [3, 12.5]}]")
             continue
-        a, b = level.points[ends[0]], level.points[ends[1]]
+        a, b = ends[0].point, ends[1].point
         if a is not None and b is not None and a != b and 0 < distance < 1e6:
             found.append(distance / abs(b - a))
     if found:
@@ -181,7 +195,7 @@ def _measured(level: _Level, site: Site) -> float | None:
         return sum(found) / len(found)
     if site.options.scale is not None:
         return site.options.scale
-    if level.lanes or any(level.points):
+    if level.lanes or any(vertex.point for vertex in level.vertices):
         known = "--scale METRES_PER_PIXEL (Open-RMF itself takes 1 here)"
         level.value.fault("a level without measurements: how long a pixel is, nobody knows", known)
     return None
@@ -200,35 +214,31 @@ def _fiducials(level: _Level) -> dict[str, complex]:
 def _project(levels: dict[str, _Level], site: Site, mercator: bool) -> None:
     """Degrees (x is the longitude) or web Mercator to metres around the middle. Web Mercator: the editor draws the
     world 256 wide, y downwards; larger numbers are metres."""
-    degrees = {}
-    every = [point for level in levels.values() for point in level.points if point is not None]
-    drawn = all(0 <= point.real <= 256 and 0 <= -point.imag <= 256 for point in every)
+    degrees: list[tuple[_Vertex, tuple[float, float]]] = []
+    every = [
+        (vertex, vertex.point) for level in levels.values() for vertex in level.vertices if vertex.point is not None
+    ]
+    drawn = all(0 <= point.real <= 256 and 0 <= -point.imag <= 256 for _, point in every)
     shift, unit = (complex(-128, 128), math.pi * EARTH_M / 128) if drawn else (0j, 1.0)
-    for level in levels.values():
-        for index, point in enumerate(level.points):
-            if point is None:
-                continue
-            where = (point.imag, point.real)
-            if mercator:
-                metres = (point + shift) * unit
-                latitude = math.degrees(2 * math.atan(math.exp(min(metres.imag / EARTH_M, 700.0))) - math.pi / 2)
-                where = (latitude, math.degrees(metres.real / EARTH_M))
-            if abs(where[0]) > 90 or abs(where[1]) > 360:
-                level.vertices[index].fault("no longitude and latitude", "-180 to 180 and -90 to 90, degrees")
-                return
-            degrees[level.name, index] = where
+    for vertex, point in every:
+        where = (point.imag, point.real)
+        if mercator:
+            metres = (point + shift) * unit
+            latitude = math.degrees(2 * math.atan(math.exp(min(metres.imag / EARTH_M, 700.0))) - math.pi / 2)
+            where = (latitude, math.degrees(metres.real / EARTH_M))
+        if abs(where[0]) > 90 or abs(where[1]) > 360:
+            vertex.value.fault("no longitude and latitude", "-180 to 180 and -90 to 90, degrees")
+            return
+        degrees.append((vertex, where))
     if not degrees:
         return
-    plane = site.plane(list(degrees.values()))
-    for (name, index), where in degrees.items():
-        levels[name].points[index] = complex(*plane.to_metres(*where))
+    plane = site.plane([where for _, where in degrees])
+    for vertex, where in degrees:
+        vertex.point = complex(*plane.to_metres(*where))
 
 
-def _cabins(
-    root: Value, levels: dict[str, _Level], reference: _Level, flip: float, site: Site
-) -> dict[tuple[str, int], str]:
+def _enter_cabins(root: Value, levels: dict[str, _Level], reference: _Level, flip: float, site: Site) -> None:
     """Lift of each vertex that stands in a cabin: named by the vertex, or inside the lift's rectangle."""
-    result: dict[tuple[str, int], str] = {}
     rectangles = []
     for name, lift in root.items("lifts"):
         home = levels.get(lift.word("reference_floor_name"), reference)
@@ -238,75 +248,60 @@ def _cabins(
         half = width / 2 + _SHAFT_GAP_M, depth / 2 + _SHAFT_GAP_M
         rectangles.append((name, home.at(complex(x, flip * y)), cmath.rect(1.0, -yaw), *half, served))
     for level in levels.values():
-        used = {end for lane in level.lanes for end in lane[:2]}
-        for index, vertex in enumerate(level.vertices):
-            parameters = _named(vertex)[1]
-            point = level.points[index]
-            if cabin := parameters.get("lift_cabin") or parameters.get("lift"):
-                result[level.name, index] = str(cabin)
-            elif index in used and point is not None:
-                for name, centre, back, width, depth, served in rectangles:
-                    away = (level.at(point) - centre) * back
-                    if level.name in served and abs(away.real) <= width and abs(away.imag) <= depth:
-                        result[level.name, index] = name
+        for vertex in level.vertices:
+            vertex.cabin = str(vertex.parameters.get("lift_cabin") or vertex.parameters.get("lift") or "")
+            if vertex.cabin or not vertex.used or vertex.point is None:
+                continue
+            for name, centre, back, width, depth, served in rectangles:
+                away = (level.at(vertex.point) - centre) * back
+                if level.name in served and abs(away.real) <= width and abs(away.imag) <= depth:
+                    vertex.cabin = name
     for name, lift in root.items("lifts"):
-        if len({level for (level, _), cabin in result.items() if cabin == name}) < 2:
+        if sum(any(vertex.cabin == name for vertex in level.vertices) for level in levels.values()) < 2:
             site.tell(f"left out: lift '{clean(name)[:40]}', in which no vertices of two levels stand", lift.line)
-    return result
 
 
-def _align_by_lifts(
-    levels: dict[str, _Level], reference: _Level, cabins: dict[tuple[str, int], str], site: Site, system: str
-) -> None:
+def _align_by_lifts(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
     """Lay a level without fiducials over the reference level by the cabin of a lift that both have."""
-    if system != "reference_image":
-        return
-    fixed = {cabin: reference.points[index] for (name, index), cabin in cabins.items() if name == reference.name}
-    for (name, index), cabin in cabins.items():
-        level, home, own = levels[name], fixed.get(cabin), levels[name].points[index]
-        if level is reference or level.shift or home is None or own is None or level.turn != 1.0:
-            continue
-        level.shift = reference.at(home) - level.at(own)
-        site.tell("level without fiducials is laid over the reference level by a lift's cabin", level.value.line)
+    fixed = {vertex.cabin: vertex.point for vertex in reference.vertices if vertex.cabin}
+    for level in levels.values():
+        for vertex in level.vertices:
+            home, own = fixed.get(vertex.cabin), vertex.point
+            if level is reference or level.shift or home is None or own is None or level.turn != 1.0:
+                continue
+            level.shift = reference.at(home) - level.at(own)
+            site.tell("level without fiducials is laid over the reference level by a lift's cabin", level.value.line)
 
 
-def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: Site) -> None:
+def _build(levels: dict[str, _Level], site: Site) -> None:
     """A place for each vertex with a name or a lane; the cabins of a lift are one place."""
-    names: dict[tuple[str, int], str] = {}
-    words = {
-        (level.name, index): word
-        for level in levels.values()
-        for index, vertex in enumerate(level.vertices)
-        if (word := _named(vertex)[0])
-    }
-    several = len([level for level in levels.values() if level.lanes or any(key[0] == level.name for key in words)]) > 1
+    every = [vertex for level in levels.values() for vertex in level.vertices]
+    words, cabins = (Counter(filter(None, named)) for named in ((v.word for v in every), (v.cabin for v in every)))
+    several = sum(bool(level.lanes or any(vertex.word for vertex in level.vertices)) for level in levels.values()) > 1
     lifts: dict[str, str] = {}
     for level in levels.values():
-        used = {end for lane in level.lanes for end in lane[:2]}
         for index, vertex in enumerate(level.vertices):
-            key, point = (level.name, index), level.points[index]
-            if point is None or not (index in used or key in words or key in cabins):
+            if vertex.point is None or not (vertex.used or vertex.word or vertex.cabin):
                 continue
-            parameters = _named(vertex)[1]
-            site.left_out("a vertex", ((name, vertex) for name, value in parameters.items() if value), _VERTEX_USED)
-            if (cabin := cabins.get(key)) in lifts:
-                names[key] = lifts[str(cabin)]
+            given = ((name, vertex.value) for name, value in vertex.parameters.items() if value)
+            site.left_out("a vertex", given, _VERTEX_USED)
+            if vertex.cabin in lifts:
+                vertex.place = lifts[vertex.cabin]
                 continue
-            word = words.get(key) or cabin or f"v{index}"
-            if several and not cabin and (key not in words or list(words.values()).count(word) > 1):
+            word = vertex.word or vertex.cabin or f"v{index}"
+            if several and not vertex.cabin and (not vertex.word or words[word] > 1):
                 word = f"{level.name}_{word}"
-            metres = level.at(point)
-            charger = parameters.get("is_charger") is True
-            names[key] = site.place(word, (metres.real, metres.imag), charger=charger)
-            if cabin:
-                lifts[cabin] = names[key]
-                site.places[names[key]]["title"] = f"lift {cabin}"
-    if any(sum(cabin == name for name in cabins.values()) > 1 for cabin in lifts):
+            metres = level.at(vertex.point)
+            charger = vertex.parameters.get("is_charger") is True
+            vertex.place = site.place(word, (metres.real, metres.imag), charger=charger)
+            if vertex.cabin:
+                lifts[vertex.cabin] = vertex.place
+                site.places[vertex.place]["title"] = f"lift {vertex.cabin}"
+    if any(cabins[name] > 1 for name in lifts):
         site.tell("a lift is one place on all its levels: what it draws and how long it takes is not in the map")
     for level in levels.values():
         for start, end, parameters, lane in level.lanes:
-            ends = names.get((level.name, start)), names.get((level.name, end))
-            if ends[0] is None or ends[1] is None:
+            if not (start.place and end.place):
                 continue
             site.left_out("a lane", ((key, lane) for key, value in parameters.items() if value), _LANE_USED)
             if graph := parameters.get("graph_idx", 0):
@@ -314,4 +309,4 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
             both = parameters.get("bidirectional", parameters.get("is_bidirectional", False)) is True
             limit = parameters.get("speed_limit")
             speed = float(limit) if isinstance(limit, (int, float)) and 0.0 < limit <= 60.0 else None
-            site.edge(ends[0], ends[1], lane.line, both_ways=both, max_speed=speed)
+            site.edge(start.place, end.place, lane.line, both_ways=both, max_speed=speed)
