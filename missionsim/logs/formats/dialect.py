@@ -6,12 +6,11 @@ import codecs
 import collections
 import csv
 import functools
+import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
@@ -284,13 +283,8 @@ def _decimal(body: list[str], delimiter: str) -> str:
 
 def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
     """Function from row number (0-based, -1 the header) to line number (1-based); empty lines hold no row."""
-
-    @functools.cache
-    def blank() -> list[int]:  # once, and only where a line is asked for
-        if not _may_have_blank_lines(path, dialect):
-            return []
-        with open(path, encoding=dialect.encoding, errors="replace") as handle:
-            return [n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip()]
+    # once, and only where a line is asked for
+    blank = functools.cache(lambda: [number for number, empty in _lines(path, dialect) if empty])
 
     def line_of(row: int) -> int:
         line = dialect.header_line + 1 + row
@@ -303,41 +297,16 @@ def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
     return line_of
 
 
-_END, _SPACE = ord("\n"), ord(" ")
-_BLANK = re.compile(rb"[\r\n][ \t]*[\r\n]")
-
-
-def _may_have_blank_lines(path: Path, dialect: Dialect) -> bool:
-    """Whether bytes of a file look so; most files have none, and lines need not be counted one by one."""
-    if dialect.encoding.startswith("utf-16"):
-        return True
-    tail = b"\n"
-    with open(path, "rb") as handle:
-        while block := handle.read(1 << 22):
-            lines = (tail + block).replace(b"\r\n", b"\n")
-            marks = np.frombuffer(lines, dtype=np.uint8)
-            # nearly every file has no space before an end of line: a twentieth of the search for a blank one
-            odd = b"\r" in lines or np.any((marks[1:] == _END) & (marks[:-1] <= _SPACE))
-            if odd and _BLANK.search(lines):
-                return True
-            tail = block[-64:]
-    return False
+def _lines(path: Path, dialect: Dialect) -> Iterator[tuple[int, bool]]:
+    """Number of each line after the header, and whether it is empty."""
+    with open(path, encoding=dialect.encoding, errors="replace") as handle:
+        for number, line in itertools.islice(enumerate(handle, 1), dialect.header_line, None):
+            yield number, not line.strip()
 
 
 def count_rows(path: Path, dialect: Dialect) -> int:
     """Lines after the header that are not empty."""
-    if _may_have_blank_lines(path, dialect):
-        with open(path, encoding=dialect.encoding, errors="replace") as handle:
-            return sum(1 for number, line in enumerate(handle, 1) if number > dialect.header_line and line.strip())
-    lines, last = -dialect.header_line, b""
-    with open(path, "rb") as handle:
-        while block := handle.read(1 << 22):
-            lines += int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == _END))
-            if b"\r" in block:
-                lines += block.count(b"\r") - block.count(b"\r\n")
-            lines -= last == b"\r" and block[:1] == b"\n"
-            last = block[-1:]
-    return lines + (last not in b"\r\n")
+    return sum(not empty for _, empty in _lines(path, dialect))
 
 
 def has_cut_end(path: Path, dialect: Dialect) -> bool:
