@@ -1,5 +1,6 @@
 """Base of all YAML models: frozen, unknown keys refused, with file and line of each object."""
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -8,8 +9,8 @@ from typing import Annotated, ClassVar, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from missionsim.errors import Fault
-from missionsim.inputs.tree import Document, Node
+from missionsim.errors import Fault, did_you_mean
+from missionsim.inputs.tree import Document, Node, as_written
 
 Name = Annotated[
     str,
@@ -88,6 +89,32 @@ class Model(BaseModel):
     """1-based line in the file, 0 for a default."""
     where: ClassVar[tuple[str | int, ...]] = ()
     """Path in the file."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mapping(cls, raw: object) -> object:
+        """Refuse what is no mapping, and keys that there are not."""
+        if isinstance(raw, Model):
+            return raw
+        known = cls._keys()
+        allowed = ", ".join(key for key in known if key != "kind" or issubclass(cls, FileModel))
+        if not isinstance(raw, dict):
+            raise wrong("must be a mapping", as_written(raw), f"a mapping with {allowed}")
+        entries: list[Mapping[str, object]] = []
+        for key in [str(key) for key in raw if key not in known]:
+            spelled = key.replace("-", "_").replace(" ", "_").lower()
+            hint = spelled if spelled in known else did_you_mean(key, known)
+            fault = {"message": f"unknown key '{key}'", "got": key, "allowed": allowed, "hint": hint, "at": (key,)}
+            entries.append(fault)
+        if entries:
+            raise told(entries)
+        return raw
+
+    @classmethod
+    @functools.cache
+    def _keys(cls) -> dict[str, None]:
+        """What a file may write, in order."""
+        return dict.fromkeys(field.alias or name for name, field in cls.model_fields.items())
 
     @model_validator(mode="after")
     def _checked(self) -> Self:

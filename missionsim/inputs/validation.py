@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from missionsim.errors import Fault, did_you_mean
@@ -33,15 +33,17 @@ def validate_document(document: Document, model: type[Loaded], faults: list[Faul
     context = {"folder": Path(document.file).parent}
     view = document
     tried: dict[Where, int] = {}
+    meant: set[Where] = set()
     for _ in range(_ROUNDS):
         shape = document.data if view is document else view.shape
         try:
             result = model.model_validate(shape, context=context)
         except ValidationError as problem:
-            told = [found for error in problem.errors(include_url=False) for found in _told(error, view, model, shape)]
+            told = [found for error in problem.errors(include_url=False) for found in _told(error, view, shape)]
             # a key that is missing because it is misspelt is one mistake
-            meant = {(*path[:-1], fault.hint) for path, fault, _ in told if fault.message.startswith("unknown key")}
-            faults += [fault for path, fault, _ in told if path not in meant and not view.is_faulty(path, below=True)]
+            new = [(view.original(path), fault) for path, fault, _ in told if not view.is_faulty(path, below=True)]
+            meant |= {(*path[:-1], fault.hint) for path, fault in new if fault.message.startswith("unknown key")}
+            faults += [fault for path, fault in new if path not in meant]
             edits: _Edits = {}
             drops: list[Where] = []
             faulty = dict(view.faulty)
@@ -145,13 +147,10 @@ _WANTED = {
 _KINDS = {kind: words for words, kinds in _WANTED.items() for kind in kinds.split()}
 
 
-def _told(
-    error: ErrorDetails, document: Document, model: type[BaseModel], shape: object
-) -> list[tuple[Where, Fault, str]]:
+def _told(error: ErrorDetails, document: Document, shape: object) -> list[tuple[Where, Fault, str]]:
     """What one error of pydantic says: path, fault, and the word that would be right where only few words are.
 
-    `document`: where the data came from; `model`: the file's model, for the keys that are allowed; `shape`: the data
-    that was validated.
+    `document`: where the data came from; `shape`: the data that was validated.
     """
     kind, loc, raw = error["type"], error["loc"], error.get("input")
     context: dict[str, Any] = error.get("ctx", {})
@@ -169,11 +168,6 @@ def _told(
     if kind in ("missing", "too_short") and path[:1] == ("components",) and loc[-1] == "loads":
         at = path[:2] if kind == "missing" else path
         message, allowed = f"component '{path[1]}' is fed by no battery", "loads: [{battery: …, power: …}]"
-    elif kind == "extra_forbidden":
-        known, got, key = _allowed_keys(model, loc[:-1]), str(path[-1]), True
-        spelled = got.replace("-", "_").replace(" ", "_").lower()
-        hint = spelled if spelled in known else did_you_mean(got, known)
-        message, allowed = f"unknown key '{got}'", ", ".join(known)
     elif kind == "missing":
         at = path if _within(shape, path) == path else path[:-1]
         message, allowed = f"'{loc[-1]}' is missing", f"{loc[-1]}: …"
@@ -191,8 +185,6 @@ def _told(
         allowed, hint = ", ".join(options) or "kind: …", did_you_mean(str(tag), options)
     elif kind in _KINDS:
         message, allowed = f"must be {_KINDS[kind]}", _KINDS[kind]
-        if allowed == "a mapping" and (keys := _allowed_keys(model, loc)):
-            allowed += f" with {', '.join(keys)}"
     elif kind == "string_pattern_mismatch":
         letters = "lower-case letters, digits and _, beginning with a letter"
         message, allowed, key = "not a name that can be used here", context["pattern"], True
@@ -207,6 +199,8 @@ def _told(
     else:
         message = error["msg"].removeprefix("Value error, ")
         message = message[:1].lower() + message[1:]
+    if kind == "missing" and document.overridden(at) is None:
+        got = as_written(document.node(at).data)  # with what was left out
     return [(path, document.fault(at, message, got=got, allowed=allowed, hint=hint, key=key), word)]
 
 
@@ -220,28 +214,3 @@ def _file_path(loc: Sequence[str | int], data: object, *, missing: bool) -> Wher
         elif missing and isinstance(here, dict) and index == len(loc) - 1:
             path = (*path, item)
     return path
-
-
-def _allowed_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
-    """Keys of the models that may stand at `loc` below `model`."""
-    fields = [(kind, *field) for kind in _models_at(model, loc) for field in kind.model_fields.items()]
-    return list(dict.fromkeys(f.alias or name for kind, name, f in fields if name != "kind" or kind is model))
-
-
-def _models_at(kind: Any, loc: Sequence[str | int]) -> list[type[BaseModel]]:
-    below: list[tuple[Any, Sequence[str | int]]]
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        if not loc:
-            return [kind]
-        fields, item = kind.model_fields, loc[0]
-        # the hints, for a repeat block names its segments in advance
-        below = [(get_type_hints(kind)[name], loc[1:]) for name, field in fields.items() if item in (name, field.alias)]
-        if not below and "kind" in fields and item in get_args(fields["kind"].annotation):  # a union tag
-            below = [(kind, loc[1:])]
-    elif loc and get_origin(kind) is dict:
-        below = [(get_args(kind)[1], loc[1:])]
-    elif loc and get_origin(kind) in (tuple, list) and isinstance(loc[0], int):
-        below = [(inner, loc[1:]) for inner in get_args(kind)]
-    else:
-        below = [(inner, loc) for inner in get_args(kind)]
-    return [found for inner, rest in below for found in _models_at(inner, rest)]
