@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.exchange.site import Site, SiteOptions, flow, says_charger
-from missionsim.exchange.source import Faults, Value, encoding_of, parse_json, read_text
+from missionsim.exchange.source import Faults, Value, parse_json, read_text, rewritten
 from missionsim.inputs.loading import mission_from_text
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Node
@@ -203,10 +203,6 @@ def export_costs(
         row = {"id": properties.fields["id"], "length_m": length, "speed_m_s": pace, "energy_wh": energy}
         told.append({**row, "seconds": length / pace, "cost": cost})
         _edit(properties, cost, pace / top, edits)
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    body = text.removeprefix("\ufeff")
-    for begin, end, new in sorted(edits, reverse=True):
-        body = body[:begin] + new + body[end:]
     remarks = ["starts, stops and turns are not in the costs: a route knows them, an edge does not"]
     if len(told) < len(wanted):
         remarks.append(f"{len(wanted) - len(told)} edges from a node to itself stay as they are")
@@ -216,7 +212,7 @@ def export_costs(
         remarks.append(
             f"{negative} edges give energy back: their cost is 0, since the route server takes no negative one"
         )
-    return GraphCosts((mark + body).encode(encoding_of(path)), told, tuple(remarks))
+    return GraphCosts(rewritten(path, text, edits), told, tuple(remarks))
 
 
 def steady_power(

@@ -18,7 +18,7 @@ import numpy as np
 from missionsim.effects.covariates import acceleration
 from missionsim.errors import InputError
 from missionsim.exchange.site import Remark, clean, flow
-from missionsim.exchange.source import Faults, Value, encoding_of, read_document, read_text
+from missionsim.exchange.source import Faults, Value, read_document, read_text, rewritten
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.robot import RobotSpec
 
@@ -213,7 +213,7 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
     changed = {
         key: (fleet.numbers[key], value) for key, value in new.items() if f"{fleet.numbers[key]:.6g}" != f"{value:.6g}"
     }
-    raw = _edited(path, changed, remarks).encode(encoding_of(path))
+    raw = _edited(path, changed, remarks)
     return FleetExport(raw, changed, errors, tuple(remarks))
 
 
@@ -245,26 +245,18 @@ def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list
     remarks.append(f"friction and watts: least squares of the power over {len(tables)} runs, {len(target)} rows")
 
 
-def _edited(path: str | Path, changed: dict[str, tuple[float, float]], remarks: list[str]) -> str:
-    """The config's text with other numbers in place of the old ones, and nothing else changed."""
+def _edited(path: str | Path, changed: dict[str, tuple[float, float]], remarks: list[str]) -> bytes:
+    """The config with other numbers in place of the old ones, and nothing else changed."""
     text = read_text(path)
+    body = text.removeprefix("\ufeff")
     document = read_document(path, text)
-    lines = text.split("\n")
     edits = []
     for name, (_, value) in changed.items():
         keys = ("rmf_fleet", *NUMBERS[name].path)
         node = document.node(keys)
-        place = lines[node.line - 1] if node.line <= len(lines) else ""
-        if (
-            document.node(keys[:-1]) is node
-            or not place.startswith(node.text, node.column - 1)
-            or node.children is not None
-        ):
-            remarks.append(
-                f"{'.'.join(keys[1:])} does not stand in the file as a plain number: {value:.6g} is not written"
-            )
-            continue
-        edits.append((node.line - 1, node.column - 1, node.text, f"{float(f'{value:.6g}')!r}"))
-    for row, column, old, new in sorted(edits, reverse=True):
-        lines[row] = lines[row][:column] + new + lines[row][column + len(old) :]
-    return "\n".join(lines)
+        if document.node(keys[:-1]) is node or not node.text or body[node.start : node.end] != node.text:
+            told = f"{'.'.join(keys[1:])} does not stand in the file as a plain number: {value:.6g} is not written"
+            remarks.append(told)
+        else:
+            edits.append((node.start, node.end, repr(float(f"{value:.6g}"))))
+    return rewritten(path, text, edits)

@@ -7,7 +7,7 @@ import json.scanner
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,10 +54,15 @@ def read_text(path: str | Path) -> str:
     return text
 
 
-def encoding_of(path: str | Path) -> str:
-    """Encoding in which `read_text` read a file, for writing it again: a mark at its start stays in the text."""
+def rewritten(path: str | Path, text: str, edits: Iterable[tuple[int, int, str]]) -> bytes:
+    """A file, whose text `read_text` gave, with other words from one place to another (a mark at its start not
+    counted), in the encoding that it has."""
+    mark = text[: text.startswith("\ufeff")]
+    text = text.removeprefix(mark)
+    for begin, end, new in sorted(edits, reverse=True):
+        text = text[:begin] + new + text[end:]
     with open(path, "rb") as handle:
-        return _encoding(handle.read(200))
+        return (mark + text).encode(_encoding(handle.read(200)))
 
 
 def _encoding(raw: bytes) -> str:
@@ -241,27 +246,21 @@ class Value:
 
     def entries(self, *keys: str) -> list[Value]:
         """Entries of the list at a key (of this value itself without keys); none where it is not there."""
-        found = self.get(*keys) if keys else self
-        if found is None:
-            return []
-        if not isinstance(found.node.children, list):
-            if found.data != {}:  # an empty block of YAML is written {} for a list too
-                found.fault("must be a list", allowed="a list")
-            return []
-        children = enumerate(found.node.children)
-        return [Value(self.document, self.faults, child, (*found.path, index)) for index, child in children]
+        return [value for _, value in self._inside(list, "a list", keys)]
 
     def items(self, *keys: str) -> list[tuple[str, Value]]:
         """Keys and values of the mapping at a key; none where it is not there."""
+        return self._inside(dict, "a mapping", keys)
+
+    def _inside(self, kind: type, called: str, keys: Sequence[str]) -> list[tuple[Any, Value]]:
         found = self.get(*keys) if keys else self
-        if found is None:
+        inside = None if found is None else found.node.children
+        if found is None or not isinstance(inside, kind):
+            if found is not None and found.data not in ({}, []):  # an empty block of YAML is written {} for a list too
+                found.fault(f"must be {called}", allowed=called)
             return []
-        if not isinstance(found.node.children, dict):
-            if found.data != []:
-                found.fault("must be a mapping", allowed="a mapping")
-            return []
-        children = found.node.children.items()
-        return [(key, Value(self.document, self.faults, child, (*found.path, key))) for key, child in children]
+        pairs = inside.items() if isinstance(inside, dict) else enumerate(inside or ())
+        return [(key, Value(self.document, self.faults, child, (*found.path, key))) for key, child in pairs]
 
     def named(self, names: Mapping[str, str]) -> str | None:
         """What `names` holds for the id that stands here; None and a fault where it knows none."""

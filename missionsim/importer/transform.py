@@ -51,15 +51,10 @@ def moving_average(values: Array, time_s: Array, over_s: float) -> Array:
     known = np.isfinite(values)
     if known.sum() < 2:
         return values
-    t, v = time_s[known], values[known]
-    area = np.r_[0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))]
+    from scipy.interpolate import make_interp_spline
 
-    def integral(at: Array) -> Array:
-        left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-        part = at - t[left]
-        slope = (v[left + 1] - v[left]) / (t[left + 1] - t[left])
-        return np.asarray(area[left] + part * (v[left] + 0.5 * slope * part))
-
+    t = time_s[known]
+    integral = make_interp_spline(t, values[known], k=1).antiderivative()
     low, high = np.maximum(time_s - 0.5 * over_s, t[0]), np.minimum(time_s + 0.5 * over_s, t[-1])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (integral(high) - integral(low)) / (high - low)

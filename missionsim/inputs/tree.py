@@ -47,7 +47,7 @@ class Node:
     _: KW_ONLY
     start: int = 0
     end: int = 0
-    """Of JSON: the part of the text that it stands in, for edits in place."""
+    """The part of the text that it stands in, for edits in place; of YAML, for plain values only."""
 
 
 class Numbered(list[Any]):
@@ -287,7 +287,7 @@ def _tree(loader: Any, name: str, faults: list[Fault]) -> Node | None:
                         data = _convert(tag, text)
                     except ValueError:
                         tell("not a value of its tag", as_written(text), tag.rsplit(":", 1)[-1], stop=False)
-                node = Node(data, line, column, text)
+                node = Node(data, line, column, text, start=event.start_mark.index, end=event.end_mark.index)
             elif kind is yaml.MappingStartEvent:
                 node = Node({}, line, column, children={})
             else:
