@@ -17,6 +17,7 @@ from missionsim.importer.sources import find_files
 from missionsim.importer.suggest import suggest_map
 from missionsim.inputs import load_robot
 from missionsim.inputs.loading import load_map
+from missionsim.labels import Labels
 from missionsim.logs import LogTable, describe
 from missionsim.logs.blocks import LongRun, write_log
 from missionsim.numerals import in_wh
@@ -183,14 +184,17 @@ def _list(sources: Sequence[Path], to: Output) -> int:
         guesses = guess_all(fields)
         shown = sorted(
             (field for field in fields if folded(field) is None),
-            key=lambda field: (guesses[field.name].rank if field.name in guesses else 9.0, len(field.name)),
+            key=lambda field: (-guesses[field.name].score if field.name in guesses else 9.0, len(field.name)),
         )
         listed.append((path, fields, shown, guesses))
     to.emit(
         {
             "schema": "missionsim.source/1",
             "source": str(listed[0][0]),
-            "fields": [{"name": field.name, "kind": field.kind, "count": field.count} for field in listed[0][1]],
+            "fields": [
+                {"name": one.name, "kind": "text" if isinstance(one.values, Labels) else "number", "count": one.count}
+                for one in listed[0][1]
+            ],
         }
     )
     if not to.text:
@@ -227,7 +231,7 @@ def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: O
         {
             "schema": "missionsim.suggestion/1",
             "map": found.text,
-            "columns": {name: guess.as_json() for name, guess in found.columns.items()},
+            "columns": {name: fields_of(guess, "role field unit sure why") for name, guess in found.columns.items()},
             "missing": list(found.missing),
         }
     )

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import Expression, compile_expression
 from missionsim.glossary import column_of
 from missionsim.importer import transform
 from missionsim.importer.roles import to_glossary
+from missionsim.inputs.checker import Checker
 from missionsim.inputs.log_map import ColumnMap, MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark, numbers_of
@@ -20,13 +21,13 @@ from missionsim.logs.times import TimeError, read_stamps
 from missionsim.physics import Array
 
 
-class Mapper:
+class Mapper(Checker):
     """A map compiled against the columns of one source."""
 
     def __init__(self, spec: MapSpec, raw: RawTable, stem: str) -> None:
+        super().__init__(spec.document)
         self.spec, self.raw, self.stem = spec, raw, stem
         self.constants = {name: float(number) for name, number in spec.constants.items()}
-        self.faults: list[Fault] = []
         self.remarks: list[Remark] = []
         self.clock = "own"
         offered = raw.names or tuple(raw.columns)
@@ -66,7 +67,7 @@ class Mapper:
         self, path: tuple[str | int, ...], message: str, got: str = "", allowed: str = "", hint: str = ""
     ) -> InputError:
         """Note a fault; gives the error of all until now."""
-        self.faults.append(self.spec.document.fault(path, message, got=got, allowed=allowed, hint=hint))
+        self.add(path, message, got, allowed, hint)
         return InputError(self.faults)
 
     def _compile(self, text: str, path: tuple[str | int, ...], known: set[str]) -> Expression:
@@ -77,11 +78,8 @@ class Mapper:
             return compile_expression("0")
 
     def _check_names(self, path: tuple[str | int, ...], names: Iterable[str], known: Iterable[str]) -> None:
-        known = list(known)
         for name in names:
-            if name not in known:
-                allowed, hint = ", ".join(known)[:300], did_you_mean(name, known)
-                self._fault(path, f"'{name}' is not a column of the source", name, allowed, hint)
+            self.known(path, name, known, "column", message=f"'{name}' is not a column of the source")
 
     def _reads(self, name: str) -> set[str]:
         """Every name in the formulas of a helper or a column."""

@@ -132,7 +132,6 @@ class Field:
     """One column or field that a source offers, with the values that were looked at."""
 
     name: str
-    kind: str
     count: int
     values: ColumnData
     time_s: Array | None = None
@@ -155,18 +154,14 @@ def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> l
     reader = reader or reader_of(path)
     if reader.table is not None:
         columns = reader.table(path, Options(most=most)).columns
-        return [Field(name, _kind(data), len(data), data) for name, data in columns.items()]
+        return [Field(name, len(data), data) for name, data in columns.items()]
     assert reader.recording is not None
     topics = sorted(reader.recording(path, Options(most=most)).topics, key=lambda topic: topic.name)
     return [
-        Field(f"{one.name}.{name}", _kind(data), one.count or len(data), data, one.time_s, one.title)
+        Field(f"{one.name}.{name}", one.count or len(data), data, one.time_s, one.title)
         for one in topics
         for name, data in one.columns.items()
     ]
-
-
-def _kind(data: ColumnData) -> str:
-    return "text" if isinstance(data, Labels) else "number"
 
 
 @dataclass(frozen=True)
@@ -211,18 +206,9 @@ class Guess:
     sure: str
     """``sure``, ``likely`` or ``a guess``."""
 
-    @property
-    def rank(self) -> float:
-        """The smaller, the earlier in a listing."""
-        return 3.0 - self.score
-
     def words(self) -> str:
         """For a listing."""
         return f"{self.role}{f' in {self.unit}' if self.unit else ''} ({self.sure})"
-
-    def as_json(self) -> dict[str, str]:
-        """For ``--json``."""
-        return {"role": self.role, "field": self.field, "unit": self.unit, "sure": self.sure, "why": self.why}
 
 
 def folded(field: Field) -> str | None:

@@ -175,17 +175,15 @@ def _floats(data: Any) -> Array:
     import pyarrow as pa
 
     data = data.cast(pa.float64(), safe=False)
-    parts = []
-    for chunk in data.chunks if isinstance(data, pa.ChunkedArray) else [data]:
-        validity, values = chunk.buffers()
-        if not len(chunk):
-            continue
-        part = np.frombuffer(values, dtype=np.float64)[chunk.offset : chunk.offset + len(chunk)]
-        if chunk.null_count:
-            known = np.unpackbits(np.frombuffer(validity, dtype=np.uint8), bitorder="little")
-            part = np.where(known[chunk.offset : chunk.offset + len(chunk)] == 1, part, np.nan)
-        parts.append(part)
-    return np.concatenate(parts) if len(parts) > 1 else (parts[0] if parts else np.empty(0))
+    data = data.combine_chunks() if isinstance(data, pa.ChunkedArray) else data
+    if not len(data):
+        return np.empty(0)
+    validity, values = data.buffers()
+    rows = slice(data.offset, data.offset + len(data))
+    if not data.null_count:
+        return np.frombuffer(values, dtype=np.float64)[rows]
+    known = np.unpackbits(np.frombuffer(validity, dtype=np.uint8), bitorder="little")[rows]
+    return np.where(known == 1, np.frombuffer(values, dtype=np.float64)[rows], np.nan)
 
 
 def numbers_of(labels: Labels, value: Callable[[str], float]) -> Array:

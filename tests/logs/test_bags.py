@@ -16,6 +16,7 @@ from missionsim.importer.mapping import import_source
 from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.loading import load_map
+from missionsim.labels import Labels
 from missionsim.logs import LogTable
 from tests.logs.bag_writers import START_S, amps, battery_volts, speed, write_ardupilot, write_bag, write_ulog
 
@@ -97,7 +98,7 @@ def test_lone_mcap_and_file_inside_a_bag(tmp_path: Path) -> None:
 def test_fields_are_listed(tmp_path: Path) -> None:
     fields = {field.name: field for field in fields_of(write_bag(tmp_path / "run", "sqlite3", 2.0))}
     assert fields["/battery.voltage"].count == 4
-    assert fields["/odom.child_frame_id"].kind == "text"
+    assert isinstance(fields["/odom.child_frame_id"].values, Labels)
     assert {"/imu.orientation.w", "/odom.twist.twist.linear.x", "/battery.cell_voltage[0]"} <= fields.keys()
     names = {field.name for field in fields_of(write_ulog(tmp_path / "a.ulg"))}
     assert {"battery_status.voltage_v", "vehicle_attitude.q[3]"} <= names

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -94,12 +96,9 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
                     faults.append(Fault(str(path), number, 1, f"this line is no JSON: {error}"[:120], got=line[:60]))
                 continue
             if before:
-                record = (
-                    {"time": before[1], **record}
-                    if is_stamp(before[1] or "") or _EPOCH.match(before[1] or "")
-                    else record
-                )
-                record = {"topic": before[2].strip(), **record}
+                stamp = before[1] or ""
+                timed = {"time": stamp} if is_stamp(stamp) or _EPOCH.match(stamp) else {}
+                record = {"topic": before[2].strip(), **timed, **record}
             yield record
 
 
@@ -184,17 +183,15 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
         return None
     wanted = None if options.fields is None else {field.strip().partition(".")[0] for field in options.fields}
     held: dict[str, tuple[str, list[int], list[dict[str, Any]]]] = {}
-    counts: dict[str, int] = {}
+    counts = Counter[str]()
     try:
         with open(path, "rb") as stream:
             for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
                 if channel.message_encoding != "json":
                     return None
                 topic = channel.topic
-                counts[topic] = counts.get(topic, 0) + 1
-                if wanted is not None and topic not in wanted:
-                    continue
-                if options.most is not None and counts[topic] > options.most:
+                counts[topic] += 1
+                if (wanted is not None and topic not in wanted) or counts[topic] > (options.most or math.inf):
                     continue
                 _, times, messages = held.setdefault(topic, (schema.name if schema else "", [], []))
                 messages.append(dict(flat(json.loads(message.data), "")))
@@ -204,16 +201,8 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
             return None
         told, got = "the MCAP file cannot be read", first_line(error)
         raise InputError.single(told, file=str(path), got=got, allowed="a whole file") from None
-    if not counts:
-        return None
     topics = [
-        Topic(
-            topic,
-            np.asarray(times, dtype=np.int64) / 1e9,
-            columns_of(messages, options.fields, topic),
-            title,
-            counts[topic],
-        )
-        for topic, (title, times, messages) in held.items()
+        Topic(name, np.array(times) / 1e9, columns_of(messages, options.fields, name), title, counts[name])
+        for name, (title, times, messages) in held.items()
     ]
-    return Recording(topics)
+    return Recording(topics) if counts else None
