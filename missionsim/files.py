@@ -40,16 +40,17 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         if special:
-            try:
-                with final.open("r+b" if final.exists() else "xb", buffering=0) as device:
-                    device.write(temporary.read_bytes())
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(path)) from error
+            with final.open("r+b" if final.exists() else "xb", buffering=0) as device:
+                device.write(temporary.read_bytes())
         else:
             mask = os.umask(0)
             os.umask(mask)
             temporary.chmod(0o666 & ~mask)
             temporary.replace(final)
+    except OSError as error:
+        if error.filename not in (None, str(temporary), str(final)):
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -102,7 +102,7 @@ def run_command(arguments: Sequence[str]) -> int:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         return EXIT_PIPE
     except OSError as error:
-        print(visible(f"{error.filename or 'file'}: error: {error.strerror or error}"), file=sys.stderr)
+        print(visible(f"{error.filename or 'standard output'}: error: {error.strerror or error}"), file=sys.stderr)
         return EXIT_INPUT
     except Exception as error:
         if os.environ.get("MISSIONSIM_DEBUG"):

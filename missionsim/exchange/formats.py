@@ -62,11 +62,8 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
     try:
         document = read_document(path, text)
     except InputError as problem:
-        found = [
-            f if f.allowed or not f.message.startswith("not YAML") else replace(f, allowed=KNOWN)
-            for f in problem.faults
-        ]
-        raise InputError(found) from None
+        told = [replace(f, allowed=KNOWN) if f.message.startswith("not YAML") else f for f in problem.faults]
+        raise InputError(told) from None
     data = document.data
     known = data if isinstance(data, dict) else {}
     if "$schema" in known:

@@ -181,7 +181,8 @@ def _effects(check: Checker, robot: RobotSpec) -> None:
             check.add(where, f"{twice}; the first is item {seen[label]}", "", "a 'name' of its own for each")
         seen.setdefault(label, index)
         of_mass = effect.effect in ("grade", "acceleration", "copper_loss")
-        if of_mass and robot.body.mass is None and not effect.candidate:
+        massless = robot.body.mass is None and not check.document.is_faulty(("body", "mass"))
+        if of_mass and massless and not effect.candidate:
             message = f"'{effect.effect}' needs the robot's mass, which counts as 1 kg here"
             allowed = "body: {mass: …}, unless k was fitted without it"
             check.add((*where, "effect"), message, "no body.mass", allowed, warning=True)

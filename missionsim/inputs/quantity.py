@@ -6,6 +6,7 @@ import contextlib
 import csv
 import itertools
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,10 +127,8 @@ class QuantityOf:
         if isinstance(raw, Parameter):
             return raw
         issues = _Wrong()
-        parameter = None
         if isinstance(raw, Mapping):
-            folder = (info.context or {}).get("folder") if isinstance(info.context, dict) else None
-            parameter = self._mapping(raw, issues, folder)
+            parameter = self._mapping(raw, issues, (info.context or {}).get("folder"))
         else:
             value, unit = self._number(raw)
             parameter = Parameter(value, unit=unit)
@@ -161,7 +160,9 @@ class QuantityOf:
         except units.UnitError as problem:
             usual = self.dimension and problem.allowed == str(units.DIMENSIONS[self.dimension])
             allowed = allowed if usual else problem.allowed
-            raise wrong(problem.message, problem.got, allowed, hint=problem.hint) from None
+            comma = isinstance(raw, str) and re.match(r"\s*[-+]?\d+,\d", raw)
+            hint = raw.strip().replace(",", ".", 1) if comma else problem.hint
+            raise wrong(problem.message, problem.got, allowed, hint=hint) from None
         except OverflowError:
             raise wrong("number too large", as_written(raw), allowed) from None
         if not math.isfinite(value):
@@ -198,8 +199,7 @@ class QuantityOf:
             issues.tell("unknown status", as_written(status), ", ".join(STATUSES), "status", hint=hint)
         unit = texts["unit"]
         if unit and self.dimension:
-            allowed = str(units.DIMENSIONS[self.dimension])
-            issues.tell("unit belongs beside the number", as_written(unit), allowed, "unit")
+            issues.tell("unit belongs beside the number", as_written(unit), self._allowed(), "unit")
         before = len(issues)
         given: dict[str, float | None] = dict.fromkeys(("value", "low", "high", "sd"))
         for key in given:

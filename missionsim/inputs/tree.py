@@ -29,6 +29,16 @@ _STR, _INT, _FLOAT, _BOOL, _NULL = (f"tag:yaml.org,2002:{kind}" for kind in ("st
 _CORE_TAGS = {_STR, _INT, _FLOAT, _BOOL, _NULL, "tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"}
 _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
+_ASKED = {
+    "tab": "blanks before a key, no tabs",
+    "any token": "blanks before a key, no tabs; a text that begins with such a character in quotation marks",
+    "mapping values": "keys of one block that begin in the same column; a text with ': ' in quotation marks",
+    "expected key": "keys of one block that begin in the same column",
+    "expected '-'": "entries of one list that begin in the same column",
+    "expected ':'": "key: value",
+}
+"""What the parser says → what it asks for."""
+
 Where = tuple[str | int, ...]
 """Path of a value: keys and list positions."""
 
@@ -230,7 +240,8 @@ def parse_document(text: str, *, name: str = "text") -> Document:
         mark = marked and (marked.problem_mark or marked.context_mark)
         told = ((marked.problem or marked.context) if marked else "") or str(problem).splitlines()[0]
         line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
-        faults.append(Fault(name, line, column, f"not YAML: {told.strip()}"))
+        allowed = next((words for sign, words in _ASKED.items() if sign in told), "")
+        faults.append(Fault(name, line, column, f"not YAML: {told.strip()}", allowed=allowed))
     finally:
         loader.dispose()
     if faults or root is None:

@@ -204,7 +204,7 @@ def _product(unit: str) -> tuple[float | None, tuple[int, ...]] | None:
 
 
 def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
-    flat = unit.replace("²", "^2").replace("³", "^3").replace("·", "*").replace("**", "^")
+    flat = unit.replace("²", "^2").replace("³", "^3").replace("·", "*").replace("**", "^").replace("%", "percent")
     powers = math.prod(int(digits) for digits in re.findall(r"\^[\s(]*[-+]?(\d+)", flat[:60]))
     if (
         len(unit) > 60

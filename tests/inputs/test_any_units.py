@@ -50,6 +50,11 @@ def test_value_and_sd_with_units_are_read(tmp_path: Path, capsys: pytest.Capture
     assert (own.value, own.sd) == pytest.approx((0.02, 0.002))
 
 
+def test_watts_for_each_per_cent() -> None:
+    assert units.any_unit("W/%") == (pytest.approx(100.0), "W")
+    assert units.parse_any("0.5 Wh/%")[0] == pytest.approx(180_000.0)
+
+
 def test_a_spread_in_another_unit_is_a_fault() -> None:
     with pytest.raises(InputError, match="sd in another unit than its value"):
         robot_from_text(ROBOT.replace("sd: 0.5 W", "sd: 0.5 V"))

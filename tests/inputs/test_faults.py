@@ -127,6 +127,41 @@ def test_words_of_a_fault(folder: Path, name: str, old: str, new: str, faults: t
     assert told(f"{name}.yaml") == [f"{name}.yaml:{fault}" for fault in faults]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "meant"),
+    [("10 Wh", '"10,5 Wh"', "10.5 Wh"), ("1 m/s", '"1,4"', "1.4"), ("c3: 2", 'c3: "2,4 W s/m"', "2.4 W s/m")],
+)
+def test_a_decimal_comma_is_told(folder: Path, old: str, new: str, meant: str) -> None:
+    change("robot", old, new)
+    (fault,) = told("robot.yaml")
+    assert fault.endswith(f"\n    did you mean: {meant}")
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("name: r\n\ttitle: a", "tab"),
+        ("body:\n\tmass: 3", "tab"),
+        ("body:\n  mass: 3\n drive: omni", "column"),
+        ("segments:\n  - a\n - b", "column"),
+        ("body:\n  mass: 3\n   drive: omni", "column"),
+        ("title: a: b", "quotation marks"),
+        ("name r\nbody: 3", "key: value"),
+    ],
+)
+def test_what_yaml_asks_for_is_told(folder: Path, text: str, hint: str) -> None:
+    Path("robot.yaml").write_text(f"kind: robot\n{text}\n", encoding="utf-8")
+    (fault,) = told("robot.yaml")
+    assert "not YAML" in fault
+    assert hint in fault.partition("\n    allowed: ")[2]
+
+
+def test_a_mass_at_fault_is_not_called_missing_as_well(folder: Path) -> None:
+    add_effect("effect: grade, battery: main, parameters: {k: 1}")
+    change("robot", "body: {", "body: {mass: 32 W, ")
+    assert heads("robot.yaml") == ["robot.yaml:3:14: error: wrong unit: W is a unit of power"]
+
+
 def test_sideways_only_where_the_drive_can(folder: Path) -> None:
     change("mission", "- drive: {to: B}", "- move: {distance: 1 m, direction: 90 deg}")
     assert told("mission.yaml") == [

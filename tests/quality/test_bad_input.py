@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -219,6 +221,14 @@ def test_results_keep_links_and_devices(tmp_path: Path) -> None:
     with pytest.raises(IsADirectoryError, match="a folder"):
         write_text(tmp_path, "x")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"]
+
+
+def test_a_full_standard_output_is_called_so() -> None:
+    command = [sys.executable, "-c", "from missionsim.cli import main; main()", "robots"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "standard output: error: No space left on device\n"
 
 
 def test_messages_do_not_show_what_another_file_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
