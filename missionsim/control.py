@@ -193,8 +193,7 @@ class PowerPredictor:
             raise InputError.single("a complexity that cannot be", got=complexity, allowed="0 or more")
         energy = self.energy_per_metre(speed, clock, complexity)
         allowed = self.meets_service(speed, clock, complexity) if service else np.ones(speed.shape, dtype=bool)
-        if not allowed.any():
-            at = int(np.argmax(self.throughput(speed, clock, complexity)))
-            return Optimum(float(speed.flat[at]), float(clock.flat[at]), float(energy.flat[at]), False, energy.size)
-        at = int(np.argmin(np.where(allowed, energy, np.inf)))
-        return Optimum(float(speed.flat[at]), float(clock.flat[at]), float(energy.flat[at]), True, energy.size)
+        kept = bool(allowed.any())
+        rank = np.where(allowed, energy, np.inf) if kept else -self.throughput(speed, clock, complexity)
+        at = int(np.argmin(rank))
+        return Optimum(float(speed.flat[at]), float(clock.flat[at]), float(energy.flat[at]), kept, energy.size)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from missionsim.exchange.site import LocalPlane, Site, clean, says_charger, smooth_slopes
-from missionsim.exchange.source import Element, Faults
+from missionsim.exchange.source import Element, Faults, finite
 
 _USED = {"gpx": {"trk", "rte", "wpt"}, "trk": {"name", "trkseg"}, "trkseg": {"trkpt"}, "rte": {"name", "rtept"}}
 _POINT_USED = {"ele", "name"}
@@ -82,24 +82,16 @@ def _points(parent: Element, tag: str, faults: Faults) -> list[Point]:
     for point in parent.all(tag):
         numbers = []
         for text, low, high in ((point.attributes.get("lat"), -90, 90), (point.attributes.get("lon"), -360, 360)):
-            number = _number(text)
+            number = finite(text)
             if number is None or not low <= number <= high:
                 faults.add(point.line, f"a {tag} needs lat and lon in degrees", str(text), f"{low} to {high}")
             else:
                 numbers.append(number)
-        height = _number(point.first("ele"))
+        height = finite(point.first("ele"))
         if len(numbers) == 2:
             name = clean(point.first("name"))
             result.append((numbers[0], numbers[1], math.nan if height is None else height, name, point.line))
     return result
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        number = float(text or "")
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 def _chain(name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane, site: Site) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from missionsim.errors import Fault, InputError
 from missionsim.exchange.site import Site, clean, says_charger
-from missionsim.exchange.source import Element, Faults, Value
+from missionsim.exchange.source import Element, Faults, Value, finite
 
 _X, _Y = ("x",), ("y",)
 _LAT, _LON = ("lat", "latitude"), ("lon", "lng", "longitude")
@@ -146,16 +146,7 @@ def _fill(
 
 
 def _number(part: Part, keys: Sequence[str]) -> float | None:
-    for key in keys:
-        raw = part.attributes.get(key)
-        if isinstance(raw, (int, float, str)) and not isinstance(raw, bool):
-            try:
-                number = float(raw)
-            except ValueError:
-                continue
-            if math.isfinite(number):
-                return number
-    return None
+    return next((number for key in keys if (number := finite(part.attributes.get(key))) is not None), None)
 
 
 def _position(node: Part, degrees: bool) -> tuple[float, float, bool] | None:
@@ -167,7 +158,7 @@ def _position(node: Part, degrees: bool) -> tuple[float, float, bool] | None:
     raw = node.attributes.get("pos", node.attributes.get("position"))
     if (x is None or y is None) and raw is not None:
         words = raw if isinstance(raw, (list, tuple)) else re.findall(r"[-+.\deE]+", str(raw))
-        pair = [_number(Part((), {"x": word}, 0), _X) for word in words[:2]]
+        pair = [finite(word) for word in words[:2]]
         x, y = pair if len(pair) == 2 else (None, None)
     if x is None or y is None or max(abs(x), abs(y)) > 1e12:
         return None

@@ -51,8 +51,8 @@ def read(root: Value, site: Site) -> None:
         root.fault("a route graph without nodes", "features of the kind Point")
 
 
-def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[object, str]:
-    names: dict[object, str] = {}
+def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[str, str]:
+    names: dict[str, str] = {}
     positions = [_position(geometry) for _, geometry in nodes]
     plane = None
     crs = str(root.fields.get("crs"))
@@ -75,7 +75,7 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[ob
         height = position[2] if len(position) > 2 else None
         if charger := says_charger(data):
             site.tell("node is taken for a charger, because its metadata says so", properties.line)
-        names[number] = site.place(str(number), (where[0], where[1]), height, title=title, charger=charger)
+        names[number] = site.place(number, (where[0], where[1]), height, title=title, charger=charger)
     return names
 
 
@@ -88,23 +88,20 @@ def _position(geometry: Value) -> tuple[float, ...] | None:
     return None if None in numbers else tuple(number for number in numbers if number is not None)
 
 
-def _id(properties: Value, key: str) -> object:
+def _id(properties: Value, key: str) -> str | None:
     found = properties.need(key)
     if found is None:
         return None
     if type(found.data) not in (int, str) or (type(found.data) is int and found.data < 0):
         found.fault("an id is a whole number from 0", "0, 1, 2 …")
         return None
-    return found.data
+    return str(found.data)
 
 
-def _edge(edge: Value, site: Site, names: dict[object, str]) -> None:
+def _edge(edge: Value, site: Site, names: dict[str, str]) -> None:
     number = _id(edge, "id")
-    ends = [_id(edge, key) for key in ("startid", "endid")]
-    for key, end in zip(("startid", "endid"), ends, strict=True):
-        if end is not None and end not in names and (found := edge.get(key)):
-            found.fault("no node has this id", "the id of a node")
-    if number is None or any(end is None or end not in names for end in ends):
+    start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startid", "endid"))
+    if number is None or start is None or end is None:
         return
     _left(edge, site, "an edge", _SPEEDS)
     if edge.has("cost"):
@@ -122,7 +119,7 @@ def _edge(edge: Value, site: Site, names: dict[object, str]) -> None:
         else:
             unknown = "written for a top speed of 1 m/s; --robot tells"
             site.tell(f"speed_limit is a share of the top speed: {unknown}", found.line)
-    site.edge(names[ends[0]], names[ends[1]], edge.line, name=str(number), max_speed=speed or None)
+    site.edge(start, end, edge.line, name=number, max_speed=speed or None)
 
 
 def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> None:

@@ -40,14 +40,11 @@ class Item:
     line: int
 
     @property
-    def latitude(self) -> float | None:
-        """Degrees, or metres in a local frame."""
-        return self.parameters[4]
-
-    @property
-    def longitude(self) -> float | None:
-        """The same."""
-        return self.parameters[5]
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude, degrees (in a local frame metres north and east); None where it has none."""
+        a, b = self.parameters[4:6]
+        unset = a is None or b is None or (a == b == 0.0 and self.frame not in _LOCAL_FRAMES)
+        return None if unset else (float(a or 0.0), float(b or 0.0))
 
 
 def read(root: Value, site: Site) -> None:
@@ -99,11 +96,8 @@ def read_text(text: str, site: Site) -> None:
         faults.add(1, "a plan without waypoints")
     faults.stop()
     first = items[0]
-    home = None
-    if first.number == 0 and first.latitude is not None and first.longitude is not None:
-        home = (first.latitude, first.longitude)
-        items = items[1:]
-    build(items, home, None, site)
+    at_home = first.number == 0
+    build(items[at_home:], first.place if at_home else None, None, site)
 
 
 def _items(value: Value, site: Site) -> list[Item]:
@@ -139,18 +133,21 @@ def _items(value: Value, site: Site) -> list[Item]:
 
 def build(items: list[Item], home: tuple[float, float] | None, speed: float | None, site: Site) -> None:
     """Places, ways and mission of the commands, from `home` (latitude and longitude, degrees) at a speed [m/s]."""
-    moving = [item for item in items if item.command in _MOVING and _has_place(item)]
-    world = [item for item in moving if item.frame not in _LOCAL_FRAMES]
+    moving = [(item, item.place) for item in items if item.command in _MOVING]
+    points = []
     faults = Faults(site.file)
-    for item in world:
-        if abs(item.latitude or 0.0) > 90 or abs(item.longitude or 0.0) > 360:
-            faults.add(item.line, "no latitude and longitude", f"{item.latitude}, {item.longitude}", "degrees")
+    for item, place in moving:
+        if place is None or item.frame in _LOCAL_FRAMES:
+            continue
+        points.append(place)
+        if abs(place[0]) > 90 or abs(place[1]) > 360:
+            faults.add(item.line, "no latitude and longitude", f"{place[0]}, {place[1]}", "degrees")
     if home is not None and (abs(home[0]) > 90 or abs(home[1]) > 360):
         faults.add(0, "plannedHomePosition is no latitude and longitude", str(home), "degrees")
-    if not moving and home is None:
+    if home is None and not any(place for _, place in moving):
         faults.add(items[0].line, "a plan without waypoints")
     faults.stop()
-    points = [(item.latitude or 0.0, item.longitude or 0.0) for item in world] + ([home] if home else [])
+    points += [home] if home else []
     plane = site.plane(points) if points else None
     route = _Route(plane, speed, site, home)
     begins: dict[int, int] = {}  # segment at which an item begins, for jumps
@@ -160,11 +157,6 @@ def build(items: list[Item], home: tuple[float, float] | None, speed: float | No
     if not site.segments and route.here:
         site.segments.append({"wait": {"duration": 0.0}})
     site.tell("waypoints are joined by straight ways, which lead both ways")
-
-
-def _has_place(item: Item) -> bool:
-    none = item.latitude is None or item.longitude is None
-    return not none and not (item.latitude == 0.0 and item.longitude == 0.0 and item.frame not in _LOCAL_FRAMES)
 
 
 @dataclass
@@ -193,11 +185,10 @@ class _Route:
     def follow(self, item: Item, begins: dict[int, int]) -> None:
         """Do what a command says, as far as a robot on the ground does. `begins`: segment at which an item begins."""
         site, first, second = self.site, item.parameters[0] or 0.0, item.parameters[1] or 0.0
-        if item.command in _MOVING and _has_place(item):
-            # a place that is reached again is the same place; metres north and east in a local frame
-            a, b = item.latitude or 0.0, item.longitude or 0.0
-            local = item.frame in _LOCAL_FRAMES or self.plane is None
-            where = (b, a) if local else self.plane.to_metres(a, b) if self.plane else (0.0, 0.0)
+        if item.command in _MOVING and (place := item.place) is not None:
+            # a place that is reached again is the same place
+            plane = None if item.frame in _LOCAL_FRAMES else self.plane
+            where = place[::-1] if plane is None else plane.to_metres(*place)
             known = (n for n, p in site.places.items() if math.hypot(p["x"] - where[0], p["y"] - where[1]) < 0.01)
             name = next(known, "") or site.place(f"waypoint_{item.number or len(site.places)}", where)
             site.start = site.start or name

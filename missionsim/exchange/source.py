@@ -178,6 +178,15 @@ def read_document(path: str | Path, text: str) -> Document:
     return parse_document(text.removeprefix("\ufeff"), name=str(path))
 
 
+def finite(raw: object) -> float | None:
+    """A finite number, also one in a text; None for all else."""
+    try:
+        number = float(raw) if isinstance(raw, (int, float, str)) and not isinstance(raw, bool) else math.nan
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
 @dataclass(slots=True)
 class Faults:
     """Faults of one file, collected until `stop`."""

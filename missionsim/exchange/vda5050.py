@@ -18,7 +18,7 @@ from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.exchange.site import Site, clean, nurbs_length, says_charger
-from missionsim.exchange.source import Value
+from missionsim.exchange.source import Value, finite
 from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
 
@@ -259,12 +259,7 @@ def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> 
 
 def _duration(parameters: dict[str, Any]) -> float | None:
     for key in ("duration", "waitTime", "time"):
-        raw = parameters.get(key)
-        try:
-            number = float(raw) if isinstance(raw, (int, float, str)) and not isinstance(raw, bool) else -1.0
-        except ValueError:
-            continue
-        if 0.0 < number < 1e7:
+        if 0.0 < (number := finite(parameters.get(key)) or 0.0) < 1e7:
             return number
     return None
 

@@ -13,7 +13,6 @@ from missionsim.importer import transform
 from missionsim.importer.roles import UNITS, WORDS, Field, Guess, words_of
 from missionsim.importer.sources import identifier
 from missionsim.labels import Labels
-from missionsim.logs.raw import Bools
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -128,15 +127,6 @@ def _speed_unit(draft: Draft, guess: Guess) -> Guess:
     return guess
 
 
-def _positions(draft: Draft) -> tuple[tuple[Guess, Guess], Bools, Array, Array] | None:
-    """Guesses for x and y, where they are known, and both [m]; None where there are none."""
-    x, y = draft.best("x", 0.5), draft.best("y", 0.5)
-    if not x or not y or draft.time_s is None:
-        return None
-    px, py = draft.values(x[0].field, x[0].unit), draft.values(y[0].field, y[0].unit)
-    return (x[0], y[0]), np.isfinite(px) & np.isfinite(py) & np.isfinite(draft.time_s), px, py
-
-
 def _stride(time_s: Array) -> int:
     """Rows of a second: positions are rough from row to row."""
     return max(1, round(1.0 / max(float(np.median(np.diff(time_s))), 1e-3)))
@@ -144,16 +134,17 @@ def _stride(time_s: Array) -> int:
 
 def _path(draft: Draft) -> tuple[tuple[Guess, Guess], Array] | None:
     """Guesses for x and y, and the path so far [m], from positions a second apart; None where there are none."""
-    if (found := _positions(draft)) is None:
+    x, y = draft.best("x", 0.5), draft.best("y", 0.5)
+    if not x or not y or draft.time_s is None:
         return None
-    guesses, known, px, py = found
-    assert draft.time_s is not None
+    px, py = draft.values(x[0].field, x[0].unit), draft.values(y[0].field, y[0].unit)
+    known = np.isfinite(px) & np.isfinite(py) & np.isfinite(draft.time_s)
     t = draft.time_s[known]
     if len(t) < 20 or (np.diff(t) < 0).any():
         return None
     stride = _stride(t)
     steps = np.hypot(np.diff(px[known][::stride]), np.diff(py[known][::stride]))
-    return guesses, np.interp(draft.time_s, t[::stride], np.r_[0.0, np.cumsum(steps)])
+    return (x[0], y[0]), np.interp(draft.time_s, t[::stride], np.r_[0.0, np.cumsum(steps)])
 
 
 def _from_way(draft: Draft) -> None:
@@ -200,22 +191,20 @@ def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
 
 def _radius(draft: Draft, wheel: Array) -> float | None:
     """Metres of path for each radian (or metre) of the wheels, from positions; None where there are none."""
-    if (found := _positions(draft)) is None:
+    if (found := _path(draft)) is None:
         return None
-    _, known, px, py = found
     assert draft.time_s is not None
-    known &= np.isfinite(wheel)
-    t, px, py, wheel = draft.time_s[known], px[known], py[known], np.abs(wheel[known])
+    known = np.isfinite(found[1]) & np.isfinite(wheel)
+    t, path, wheel = draft.time_s[known], found[1][known], np.abs(wheel[known])
     if len(t) < 50:
         return None
     stride = _stride(t)
-    path = np.hypot(np.diff(px[::stride]), np.diff(py[::stride]))
     area = np.r_[0.0, np.cumsum(0.5 * (wheel[1:] + wheel[:-1]) * np.diff(t))]
-    turned = np.diff(area[::stride])
+    turned, way = np.diff(area[::stride]), np.diff(path[::stride])
     moving = turned > 0.2 * np.quantile(turned, 0.9)
     if moving.sum() < 20:
         return None
-    low, middle, high = np.quantile(path[moving] / turned[moving], (0.25, 0.5, 0.75))
+    low, middle, high = np.quantile(way[moving] / turned[moving], (0.25, 0.5, 0.75))
     return float(middle) if 0 < middle < 2.0 and high - low < 0.4 * middle else None
 
 

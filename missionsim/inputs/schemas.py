@@ -5,9 +5,11 @@ from __future__ import annotations
 import functools
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from missionsim.effects.base import ParameterSpec
 from missionsim.errors import InputError
 from missionsim.inputs import units
 from missionsim.inputs.loading import KINDS, model_of
@@ -125,16 +127,12 @@ def add_models(definitions: dict[str, Schema]) -> None:
     if motion := definitions.get("MotionSpec"):
         ids = motion_model_ids()
         _enumerate(motion["properties"]["model"], [*ids, "expression", "none"])
-        motion["allOf"] = [
-            _rule("model", name, {p.name: p.unit for p in get_motion_model(name).parameters}) for name in ids
-        ]
+        motion["allOf"] = [_rule("model", name, get_motion_model(name).parameters) for name in ids]
         # the model that holds where none is named
         motion["allOf"][ids.index("polynomial")]["if"].pop("required", None)
     if law := definitions.get("LawSpec"):
         _enumerate(law["properties"]["model"], list(law_models()))
-        law["allOf"] = [
-            _rule("model", name, {p.name: p.unit for p in m.parameters}) for name, m in law_models().items()
-        ]
+        law["allOf"] = [_rule("model", name, model.parameters) for name, model in law_models().items()]
     if effect := definitions.get("EffectSpec"):
         plain = [name for name in effect_ids() if "<" not in name]
         families = sorted({name.partition(":")[0] for name in effect_ids() if "<" in name} | set(FLOORS))
@@ -145,8 +143,7 @@ def add_models(definitions: dict[str, Schema]) -> None:
             "description": effect["properties"]["effect"]["description"],
         }
         effect["allOf"] = [
-            _rule("effect", name, {p.name: p.unit for p in get_effect(name).parameters}, "^k_" * (name in FLOORS))
-            for name in plain
+            _rule("effect", name, get_effect(name).parameters, "^k_" * (name in FLOORS)) for name in plain
         ]
     if battery := definitions.get("BatterySpec"):
         options = battery["properties"]["model"]["anyOf"]
@@ -162,9 +159,9 @@ def _enumerate(node: Schema, names: list[str]) -> None:
     node["enum"] = [*names, None] if null else names
 
 
-def _rule(key: str, name: str, parameters: dict[str, str], more: str = "") -> Schema:
+def _rule(key: str, name: str, parameters: Iterable[ParameterSpec], more: str = "") -> Schema:
     """Where `key` is `name`, only its parameters, and those that match the pattern `more`."""
-    known: Schema = {p: {**_ANY, "description": f"[{unit}]"} for p, unit in parameters.items()}
+    known: Schema = {p.name: {**_ANY, "description": f"[{p.unit}]"} for p in parameters}
     inside: Schema = {"properties": known, "additionalProperties": False}
     if more:
         inside["patternProperties"] = {more: _ANY}
