@@ -27,7 +27,7 @@ from missionsim.planner.site import Site, make_site
 from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, WIDE, Watch, solve_site
 from missionsim.uncertainty.answers import proportion_interval
 from missionsim.uncertainty.batch import Task, compute_block, prepare
-from missionsim.uncertainty.single import simulate_block
+from missionsim.uncertainty.single import row_of, simulate_block
 
 Columns = dict[str, NDArray[Any]]
 TRIES = 6
@@ -349,13 +349,8 @@ class _Search:
         """The least margins, alike in share for all limits that matter, within which a share of the draws would be.
         `limits`: which matter; those that some draw of this plan breaks are added."""
         slack = _slack_of(self.site, self.columns)
-        one = tried.run.batteries
-        nominal = {f"margin_{n}_wh": b.charge_left_wh - b.reserve_required_wh for n, b in one.items()}
-        nominal |= {f"charge_left_{n}_wh": b.charge_left_wh for n, b in one.items()}
-        nominal |= {f"needed_{n}_wh": b.needed_wh or 0.0 for n, b in one.items()}
-        nominal["duration_s"] = tried.answer.duration_s
-        columns: Columns = {name: np.array([value]) for name, value in nominal.items()}
-        columns |= {f"charge_{n}_wh": np.array([[b.initial_wh]]) for n, b in one.items()}
+        told = {name: value for name, value in row_of(tried.run).items() if not isinstance(value, str)}
+        columns: Columns = {name: np.nan_to_num(np.array([value])) for name, value in told.items()}
         away = _slack_of(self.site, columns) - slack
         limits |= ~(slack >= 0.0).all(axis=0)
         made = np.zeros(len(limits))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -29,11 +29,7 @@ _MEASURED = ("time_s", "power_<battery>_w", "current_<battery>_a", "energy_<batt
 
 @dataclass(frozen=True)
 class Run:
-    """One run, or a block of a long one; all arrays have shape (n,) and are read-only.
-
-    A measured run has power; a planned one (`missionsim.runs.motion.planned_run`) has none, and the rates of what
-    changes within a row.
-    """
+    """One run, or a block of a long one; all arrays have shape (n,) and are read-only."""
 
     run: str
     """Name of the run: the file's name without its suffix."""
@@ -52,15 +48,11 @@ class Run:
     """The file as the user gave it."""
     remarks: tuple[Remark, ...] = field(default=(), compare=False)
     """What was wrong, and what was done."""
-    _: KW_ONLY
-    rates: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
-    """Change per second of a column within each row; nought where absent, as in a log."""
 
     def __post_init__(self) -> None:
-        for name in ("columns", "power_w", "fresh", "power_from", "rates"):
+        for name in ("columns", "power_w", "fresh", "power_from"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        held = [*self.columns.values(), *self.power_w.values(), *self.fresh.values(), *self.rates.values(), self.dt_s]
-        for data in held:
+        for data in (*self.columns.values(), *self.power_w.values(), *self.fresh.values(), self.dt_s):
             array = data.codes if isinstance(data, Labels) else data
             if array is not None:
                 array.flags.writeable = False
@@ -122,7 +114,6 @@ class Run:
             dt_s=self.dt_s[keep],
             power_w={name: power[keep] for name, power in self.power_w.items()},
             fresh={name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
-            rates={name: rate[keep] for name, rate in self.rates.items()},
         )
 
 

@@ -31,7 +31,7 @@ from missionsim.plan.legs import Plan
 from missionsim.uncertainty import matrices
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.events import Part, charge_course, phases_of
-from missionsim.uncertainty.single import components_of, number_columns, simulate_block
+from missionsim.uncertainty.single import columns_of, components_of, simulate_block
 
 Array = NDArray[np.float64]
 AGREEMENT = 1e-9
@@ -60,20 +60,19 @@ class ArrayMission:
     parts: tuple[Part, ...]
     """What the nominal run consists of: its legs, and waits for components that start up."""
 
-    def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[np.generic]]:
-        """Columns of the runs ``first … first + count − 1``."""
-        draws = self.sampler.draw(seed, first, count)
+    def block(
+        self, seed: int, first: int, count: int, draws: Draws | None = None, runs: NDArray[np.int64] | None = None
+    ) -> dict[str, NDArray[np.generic]]:
+        """Columns of the runs ``first … first + count − 1``, or of others at their draws."""
+        own = np.arange(first, first + count, dtype=np.int64) if runs is None else runs
+        draws = self.sampler.draw(seed, first, count) if draws is None else draws
         found, again = self.evaluate(draws, count)
-        columns = {"run": np.arange(first, first + count, dtype=np.int64), **found}
-        columns |= {f"drawn:{name}": values for name, values in draws.items()}
-        chosen = np.flatnonzero(again)
-        if chosen.size:
-            drawn = {name: values[chosen] for name, values in draws.items()}
-            runs = simulate_block(
-                self.mission, self.model, self.sampler, seed, first, chosen.size, draws=drawn, runs=first + chosen
-            )
+        columns = {"run": own, **found, **{f"drawn:{name}": values for name, values in draws.items()}}
+        if (chosen := np.flatnonzero(again)).size:
+            some = {name: values[chosen] for name, values in draws.items()}
+            made = simulate_block(self.mission, self.model, self.sampler, seed, first, chosen.size, some, own[chosen])
             for name, column in columns.items():
-                column[chosen] = runs[name]
+                column[chosen] = made[name]
         return columns
 
     @property
@@ -83,7 +82,8 @@ class ArrayMission:
 
     def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[np.generic]], NDArray[np.bool_]]:
         """Columns at given draws, and the runs that need SimPy. `draws`: value name → ndarray of shape (count,)."""
-        columns, again = self._empty(count), np.zeros(count, dtype=bool)
+        columns, again = columns_of(self.mission, self.model, count), np.zeros(count, dtype=bool)
+        columns |= {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in self.mission.robot.batteries}
         together = max(1, MOST_NUMBERS // self.intervals)
         for low in range(0, count, together):
             high = min(low + together, count)
@@ -92,22 +92,13 @@ class ArrayMission:
                 self._part(part, high - low, {name: v[low:high] for name, v in columns.items()}, again[low:high])
         columns["feasible"][:] = True
         for name in self.mission.robot.batteries:
-            below = columns.pop(f"{_BELOW}{name}")
-            columns["feasible"] &= ~below
+            below = np.asarray(columns.pop(f"{_BELOW}{name}"), dtype=bool)
+            columns["feasible"][below] = False
             text = f"battery '{name}' ends below its reserve"
             for i in np.flatnonzero(below).tolist():
                 before = columns["message"][i]
                 columns["message"][i] = f"{before}; {text}" if before else text
         return columns, again
-
-    def _empty(self, count: int) -> dict[str, NDArray[Any]]:
-        columns: dict[str, NDArray[Any]] = {name: np.zeros(count, dtype=bool) for name in ("feasible", "speed_limited")}
-        batteries = tuple(self.mission.robot.batteries)
-        columns |= {name: np.zeros(count) for name in number_columns(batteries, components_of(self.model))}
-        columns["failed_at_s"][:] = np.nan
-        columns |= {name: np.full(count, "", dtype=object) for name in ("failed_segment", "failed_battery", "message")}
-        columns |= {f"charge_{name}_wh": np.empty((matrices.PROGRESS_POINTS, count)).T for name in batteries}
-        return columns | {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in batteries}
 
     def _planned(self, draws: Draws) -> tuple[RunSetup, dict[str, Array]]:
         """The plan of some runs with what goes with it, and parameters of the model, each of shape (runs, 1)."""

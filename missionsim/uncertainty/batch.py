@@ -30,7 +30,7 @@ from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL, proportion_interval, summarise
 from missionsim.uncertainty.arrays import ArrayMission
-from missionsim.uncertainty.draws import Sampler, make_sampler, run_generator
+from missionsim.uncertainty.draws import Draws, Sampler, make_sampler, run_generator
 from missionsim.uncertainty.qualify import compile_arrays
 from missionsim.uncertainty.single import left_to_chance, simulate_block, unread_values
 from missionsim.uncertainty.store import BlockStore
@@ -74,6 +74,14 @@ class Prepared:
     def engine(self) -> str:
         """``arrays`` where the mission allows them, else ``simpy``."""
         return "simpy" if self.arrays is None else "arrays"
+
+    def block(
+        self, seed: int, first: int, count: int, draws: Draws | None = None, runs: NDArray[np.int64] | None = None
+    ) -> dict[str, NDArray[np.generic]]:
+        """Columns of the runs ``first … first + count − 1``, or of others at their draws."""
+        if self.arrays is not None:
+            return self.arrays.block(seed, first, count, draws, runs)
+        return simulate_block(self.mission, self.model, self.sampler, seed, first, count, draws, runs)
 
 
 def block_runs(prepared: Prepared) -> int:
@@ -127,10 +135,7 @@ def _prepared(task: Task) -> Prepared:
 
 def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[np.generic]]:
     """Columns of the runs ``first … first + count − 1``; pure, so that any process may compute it."""
-    prepared = prepare(task)
-    if prepared.arrays is not None:
-        return prepared.arrays.block(task.seed, first, count)
-    return simulate_block(prepared.mission, prepared.model, prepared.sampler, task.seed, first, count)
+    return prepare(task).block(task.seed, first, count)
 
 
 def identity(task: Task, runs: int) -> Json:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.engine.setup import split_values
-from missionsim.engine.simulate import simulate
-from missionsim.errors import InputError, MissionsimError
+from missionsim.errors import InputError
 from missionsim.files import Json
 from missionsim.physics import Array
-from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL
 from missionsim.uncertainty.draws import run_generator
 from missionsim.uncertainty.single import left_to_chance
@@ -30,7 +26,7 @@ _TRIED, _AFFORDABLE, _AFFORDABLE_SIMPY, _MOST_SAMPLES = 512, 150_000, 400, 1024
 _EDGE = 2.0**-40
 _MATTERS = 0.05
 """A rank correlation with the margin above this is told even of a value that changes no energy (a capacity)."""
-_POINTS = 1 << 14
+_POINTS = {"arrays": 1 << 14, "simpy": 256}
 """So many points are evaluated at once, at most."""
 
 
@@ -113,7 +109,7 @@ def _indices(prepared: Prepared, seed: int, samples: int, values: int) -> tuple[
         for i in range(values):
             pages.append(np.array(a))
             pages[-1][i] = b[i]
-        together = max(1, _POINTS // a.shape[1])
+        together = max(1, _POINTS[prepared.engine] // a.shape[1])
         parts = [
             _energies(prepared, seed, np.concatenate(pages[i : i + together], axis=1))
             for i in range(0, len(pages), together)
@@ -147,19 +143,7 @@ def _energies(prepared: Prepared, seed: int, points: Array) -> Array:
     values, batteries = prepared.sampler.values, tuple(prepared.mission.robot.batteries)
     draws = {value.name: value.distribution.quantile(points[i]) for i, value in enumerate(values)}
     count = points.shape[1]
-    found = np.full((len(batteries), count), math.nan)
-    again = np.ones(count, dtype=bool)
-    if prepared.arrays is not None:
-        columns, again = prepared.arrays.evaluate(draws, count)
-        found[:] = [columns[f"energy_{name}_wh"] for name in batteries]
-    for j in np.flatnonzero(again).tolist():
-        drawn = {name: float(column[j]) for name, column in draws.items()}
-        # a point's probability of chance is the seed of all that chance does there
-        lot = run_generator(seed, CHANCE, int(points[-1, j] * 2**53)) if len(points) > len(values) else None
-        try:
-            plan = make_plan(prepared.mission, split_values(drawn, prepared.model)[0], lot)
-            result = simulate(prepared.mission, values=drawn, plan=plan, model=prepared.model, trace=False)
-        except (MissionsimError, ArithmeticError, ValueError, RuntimeError):
-            continue
-        found[:, j] = [result.batteries[name].energy_wh for name in batteries]
-    return found
+    # a point's probability of chance is the seed of all that chance does there
+    lots = (points[-1] * 2**53).astype(np.int64) if len(points) > len(values) else np.arange(count)
+    block = prepared.block(seed, 0, count, draws, lots)
+    return np.array([block[f"energy_{name}_wh"] for name in batteries])

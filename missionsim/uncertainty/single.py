@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from missionsim.engine.outcome import RunResult
 from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import RunSetup, simulate
 from missionsim.errors import MissionsimError
+from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
@@ -23,6 +24,8 @@ from missionsim.uncertainty.matrices import PROGRESS_POINTS
 
 MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
 """Runs, and their intervals, whose energies are evaluated together."""
+_FAILED = (MissionsimError, ArithmeticError, ValueError, RuntimeError)
+"""What ends one run only."""
 
 
 def simulate_run(
@@ -55,16 +58,15 @@ def simulate_block(
     seed: int,
     first: int,
     count: int,
-    *,
     draws: Draws | None = None,
-    runs: Sequence[int] | NDArray[np.intp] | None = None,
+    runs: NDArray[np.int64] | None = None,
 ) -> dict[str, NDArray[np.generic]]:
     """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message.
 
     `draws` are those of `sampler`, if they are there already; `runs` the numbers of the runs, where they are not
     those from `first` on.
     """
-    own = range(first, first + count) if runs is None else runs
+    own = np.arange(first, first + count, dtype=np.int64) if runs is None else runs
     draws = dict(draws or sampler.draw(seed, first, count))
     chance = left_to_chance(mission)
     numbers, drawn = split_values(draws, model)
@@ -86,26 +88,26 @@ def simulate_block(
         setup.again = run_generator(seed, "chance", int(own[i])) if chance or plan.gated else None
         result = yield from setup.run(trace=False)
         made[i] = setup.plan
-        return {**_row(result), "speed_limited": plan.limited}
+        return {**row_of(result), "speed_limited": plan.limited}
 
-    rows: list[dict[str, Any]] = []
+    columns = {"run": own, **columns_of(mission, model, count)}
     some = next((sum(len(step.phases) for step in plan.steps) for plan in plans if plan is not None), 1)
     size = max(1, min(MOST_TOGETHER, ROWS_TOGETHER // max(1, some)))
     for low in range(0, count, size):
         these = [run(i) for i in range(low, min(low + size, count))]
-        for found in together(model, tuple(mission.robot.components), these):
-            if isinstance(found, MissionsimError):
-                rows.append({"message": f"failed: {found}"})
-            elif isinstance(found, (ArithmeticError, ValueError, RuntimeError)):
-                rows.append({"message": f"failed: {type(found).__name__}: {found}"})
-            elif isinstance(found, Exception):
+        for i, found in enumerate(together(model, tuple(mission.robot.components), these), low):
+            if isinstance(found, Exception) and not isinstance(found, _FAILED):
                 raise found
-            else:
-                rows.append(found)
+            if isinstance(found, Exception):
+                told = str(found) if isinstance(found, MissionsimError) else f"{type(found).__name__}: {found}"
+                found = {name: np.nan for name in columns if name.startswith("component_")}
+                found["message"] = f"failed: {told}"
+            for name, value in found.items():
+                columns[name][i] = value
     counted = [{} if plan is None else _chance(plan) for plan in made]
     for name in chance:
         draws[name] = np.array([found.get(name, np.nan) for found in counted])
-    return _columns(rows, draws, own, batteries=tuple(mission.robot.batteries), components=components_of(model))
+    return columns | {f"drawn:{name}": values for name, values in draws.items()}
 
 
 class _Read(dict[str, float]):
@@ -141,14 +143,20 @@ def components_of(model: PowerModel) -> tuple[tuple[str, str], ...]:
     return tuple(sorted({(term.key.battery, term.key.component) for term in model.terms}))
 
 
-def number_columns(batteries: Iterable[str], components: Iterable[tuple[str, str]]) -> list[str]:
-    """Columns of a block with one number a run, but for the draws."""
+def columns_of(mission: MissionSpec, model: PowerModel, count: int) -> dict[str, NDArray[np.generic]]:
+    """Columns of a block of runs but for their numbers and draws, of which nothing is known yet."""
+    batteries = tuple(mission.robot.batteries)
     of_batteries = [f"{what}_{name}_wh" for name in batteries for what in ("energy", "charge_left", "margin", "needed")]
-    parts = [f"component_{battery}_{component}_wh" for battery, component in components]
-    return ["duration_s", "distance_m", "failed_at_s", *of_batteries, *parts]
+    parts = [f"component_{battery}_{component}_wh" for battery, component in components_of(model)]
+    columns: dict[str, NDArray[Any]] = {name: np.zeros(count, dtype=bool) for name in ("feasible", "speed_limited")}
+    for name in ("duration_s", "distance_m", "failed_at_s", *of_batteries, *parts):
+        columns[name] = np.full(count, 0.0 if name in parts else np.nan)
+    columns |= {name: np.full(count, "", dtype=object) for name in ("failed_segment", "failed_battery", "message")}
+    return columns | {f"charge_{name}_wh": np.full((PROGRESS_POINTS, count), np.nan).T for name in batteries}
 
 
-def _row(result: RunResult) -> dict[str, Any]:
+def row_of(result: RunResult) -> Json:
+    """A run as one number or text a column."""
     row: dict[str, Any] = {
         "feasible": result.feasible,
         "duration_s": result.duration_s,
@@ -175,28 +183,3 @@ def _row(result: RunResult) -> dict[str, Any]:
         time_s, segment, name = min(failed)
         row.update(failed_at_s=time_s, failed_segment=segment, failed_battery=name)
     return row
-
-
-def _columns(
-    rows: list[dict[str, Any]],
-    draws: Draws,
-    own: Sequence[int] | NDArray[np.intp],
-    *,
-    batteries: tuple[str, ...],
-    components: tuple[tuple[str, str], ...],
-) -> dict[str, NDArray[np.generic]]:
-    count = len(rows)
-    columns: dict[str, NDArray[np.generic]] = {"run": np.asarray(own, dtype=np.int64)}
-    for name in ("feasible", "speed_limited"):
-        columns[name] = np.array([bool(row.get(name, False)) for row in rows])
-    for name in number_columns(batteries, components):
-        default = 0.0 if name.startswith("component_") else np.nan
-        columns[name] = np.array([row.get(name, default if "duration_s" in row else np.nan) for row in rows])
-    for name in ("failed_segment", "failed_battery", "message"):
-        columns[name] = np.array([row.get(name, "") for row in rows], dtype=object)
-    for name in batteries:
-        lost = np.full(PROGRESS_POINTS, np.nan)
-        columns[f"charge_{name}_wh"] = np.array([row.get(f"charge_{name}_wh", lost) for row in rows]).reshape(count, -1)
-    for name, values in draws.items():
-        columns[f"drawn:{name}"] = values
-    return columns
