@@ -73,7 +73,7 @@ class PowerPredictor:
         self._loads: dict[str, float] = {}
         laws = [(name, load.law) for name, component in spec.components.items() for load in component.loads]
         for name, law in laws:
-            if not self._loads and law is not None and getattr(law, "model", None) == "multicore_cpu":
+            if not self._loads and law is not None and law.model == "multicore_cpu":
                 defaults = {p.name: p.default for p in named_models.law_models()["multicore_cpu"].parameters}
                 own = {key.removeprefix(f"{self.battery}/{name}."): v for key, v in self.values.items()}
                 given = {key: float(value) for key, value in law.parameters.items()}
@@ -90,19 +90,11 @@ class PowerPredictor:
         **more: ArrayLike | str,
     ) -> Array:
         """Power of the battery (W) for settings that broadcast; more covariates by their glossary names."""
-        cov: dict[str, Any] = {
-            "speed_m_s": f64(speed_m_s),
-            "accel_m_s2": f64(accel_m_s2),
-            "slope_rad": f64(slope_rad),
-            "payload_kg": f64(payload_kg),
-            "complexity": f64(complexity),
-            "yaw_rate_rad_s": 0.0,
-            "scheme": "",
-            **self._on,
-            **more,
-        }
-        if freq_hz is not None:
-            cov["cpu_freq_hz"] = f64(freq_hz)
+        given = {"speed_m_s": speed_m_s, "accel_m_s2": accel_m_s2, "slope_rad": slope_rad}
+        given |= {"payload_kg": payload_kg, "complexity": complexity}
+        given |= {} if freq_hz is None else {"cpu_freq_hz": freq_hz}
+        cov: dict[str, Any] = {name: f64(value) for name, value in given.items()}
+        cov |= {"yaw_rate_rad_s": 0.0, "scheme": "", **self._on, **more}
         return np.asarray(self.model.total(cov, self.battery or "", self.values), dtype=np.float64)
 
     def horizon_energy(

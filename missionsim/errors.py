@@ -48,19 +48,12 @@ class Fault:
         where = self.file or "command line"
         if self.line:
             where += f":{self.line}:{self.column}" if self.column else f":{self.line}"
-        text = f"{where}: {self.severity}: {self.message}"
-        if self.path:
-            text += f"\n    at: {self.path}"
-        if self.got:
-            # the two ends of a long text; nobody needs ten thousand digits back
-            middle = f" … {self.got[-20:]} ({len(self.got):,} characters)"
-            short = self.got if len(self.got) <= MOST_ECHOED else self.got[: MOST_ECHOED // 2] + middle
-            text += f"\n    got: {short}"
-        if self.allowed:
-            text += f"\n    allowed: {self.allowed}"
-        if self.hint:
-            text += f"\n    did you mean: {self.hint}"
-        return visible(text)
+        # the two ends of a long text; nobody needs ten thousand digits back
+        middle = f" … {self.got[-20:]} ({len(self.got):,} characters)"
+        short = self.got if len(self.got) <= MOST_ECHOED else self.got[: MOST_ECHOED // 2] + middle
+        told = {"at": self.path, "got": short, "allowed": self.allowed, "did you mean": self.hint}
+        rest = "".join(f"\n    {what}: {text}" for what, text in told.items() if text)
+        return visible(f"{where}: {self.severity}: {self.message}{rest}")
 
 
 class MissionsimError(Exception):

@@ -104,21 +104,14 @@ class Expression:
             try:
                 result = self._run(values)
             except (TypeError, ValueError) as problem:
-                texts = [
-                    name
-                    for name in sorted(self.names)
-                    if hasattr(values.get(name), "equals") or isinstance(values.get(name), str)
-                ]
+                of_words = ((name, values.get(name)) for name in sorted(self.names))
+                texts = [name for name, value in of_words if hasattr(value, "equals") or isinstance(value, str)]
                 if not texts and not any(quote in self.source for quote in "'\""):
                     raise
                 told = f"{' and '.join(texts)}, which holds words" if texts else "words"
-                raise InputError(
-                    self.place.fault(
-                        f"the formula computes with {told}",
-                        got=self.source,
-                        allowed=f"words in comparisons only, such as k * ({(*texts, 'surface')[0]} == 'name')",
-                    )
-                ) from problem
+                message, name = f"the formula computes with {told}", (*texts, "surface")[0]
+                allowed = f"words in comparisons only, such as k * ({name} == 'name')"
+                raise InputError(self.place.fault(message, got=self.source, allowed=allowed)) from problem
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
     def proportional_to(self, name: str) -> bool:
@@ -192,14 +185,8 @@ def _lag(node: Any, place: Place, fault: Callable[..., None]) -> Lag:
     if not 0.0 < number < math.inf:
         fault("lag has no such time constant", tau, ast.unparse(tau), "a positive number in s, or a parameter in s")
     at = place._replace(column=place.column + node.col_offset if place.column else 0)
-    return Lag(
-        ast.unparse(node),
-        frozenset(names),
-        tau.id if isinstance(tau, ast.Name) else "",
-        signal,
-        _compile(tau, None, set(), lambda *_: None),
-        at,
-    )
+    parameter, constant = tau.id if isinstance(tau, ast.Name) else "", _compile(tau, None, set(), lambda *_: None)
+    return Lag(ast.unparse(node), frozenset(names), parameter, signal, constant, at)
 
 
 def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fault: Callable[..., None]) -> _Node:

@@ -305,23 +305,9 @@ class OnlinePredictor:
         can_finish = slack >= self.confidence * need_sd
         wait = None if can_finish else self._until_turning(behind, home_now, left, left_sd, factor, factor_sd)
         p_finish = 0.5 * (1.0 + math.erf(slack / need_sd / math.sqrt(2.0))) if need_sd > 0.0 else float(slack >= 0.0)
-        return Forecast(
-            self._time or 0.0,
-            behind / total if total > 0.0 else 1.0,
-            self._drawn,
-            left,
-            left_sd,
-            factor * rest,
-            finish_sd,
-            factor * home_now,
-            return_sd,
-            factor,
-            factor_sd,
-            can_finish,
-            wait == 0.0,
-            wait,
-            p_finish,
-        )
+        known = (self._drawn, left, left_sd, factor * rest, finish_sd, factor * home_now, return_sd, factor, factor_sd)
+        progress = behind / total if total > 0.0 else 1.0
+        return Forecast(self._time or 0.0, progress, *known, can_finish, wait == 0.0, wait, p_finish)
 
     def _spread(self, energy_j: float, factor_sd: float) -> float:
         """Standard deviation of an energy still to come: the factor's, and the noise of the power about its mean."""

@@ -137,13 +137,8 @@ def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
 
     for group in SHARED:
         Parameter(name="*")(group)
-    app = App(
-        name="missionsim",
-        help=HELP,
-        version=__version__,
-        help_format="plaintext",
-        default_parameter=Parameter(negative=()),
-    )
+    usual = Parameter(negative=())
+    app = App(name="missionsim", help=HELP, version=__version__, help_format="plaintext", default_parameter=usual)
     app.register_install_completion_command(help="Install completion for a shell: bash, zsh or fish.")
     for name, (target, summary) in COMMANDS.items():
         app.command(f"missionsim.cli.{target}", name=name, help=summary)

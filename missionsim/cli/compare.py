@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -166,15 +167,8 @@ def calibrate(
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
     remarks = [*describe(tables), *remarks]
     write_text(out, text)
-    to.emit(
-        {
-            "schema": "missionsim.calibration/1",
-            "robot_file": str(out),
-            "batteries": {fit.battery: fit.to_json() for fit in fits},
-            "remarks": remarks,
-            "left_out": left_out,
-        }
-    )
+    made_of = {"robot_file": str(out), "batteries": {fit.battery: fit.to_json() for fit in fits}}
+    to.emit({"schema": "missionsim.calibration/1", **made_of, "remarks": remarks, "left_out": left_out})
     if to.text:
         _print(fits, remarks, out)
     return 1 if left_out else 0
@@ -183,16 +177,11 @@ def calibrate(
 def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
     terminal = console()
     for fit in fits:
-        rows = [
-            (
-                p.name,
-                rounded(p.value, 4),
-                f"{rounded(p.low, 4)} … {rounded(p.high, 4)}" if p.high - p.low > 1e-9 * abs(p.value) else "exact",
-                p.unit if p.unit != "1" else "",
-            )
-            for p in fit.parameters.values()
-            if p.seen
-        ]
+        rows = []
+        for p in filter(attrgetter("seen"), fit.parameters.values()):
+            value, low, high = (rounded(number, 4) for number in (p.value, p.low, p.high))
+            known = f"{low} … {high}" if p.high - p.low > 1e-9 * abs(p.value) else "exact"
+            rows.append((p.name, value, known, "" if p.unit == "1" else p.unit))
         show_table(f"Battery {fit.battery}", ["parameter", ">value", ">95 % interval", "unit"], rows)
         clock = "clocks as logged"
         if fit.delay_s or fit.lag_s:

@@ -107,33 +107,15 @@ def _told(
     map_: Path,
     to: Output,
 ) -> int:
-    to.emit(
-        {
-            "schema": "missionsim.import/1",
-            "source": str(sources[0]),
-            "sources": [str(source) for source in sources],
-            "map": str(map_),
-            "runs": [
-                {
-                    "run": log.run,
-                    "file": str(target),
-                    "rows": log.rows,
-                    "duration_s": log.duration_s,
-                    "batteries": {
-                        name: {"energy_wh": log.energy_wh(name), "power_from": log.power_from[name]}
-                        for name in log.batteries
-                    },
-                    "columns": list(log.columns),
-                    "remarks": [
-                        fields_of(r, "kind column message action severity line") | {"rows": r.count}
-                        for r in log.remarks
-                    ],
-                }
-                for log, target in zip(logs, targets, strict=True)
-            ],
-            "left_out": [dataclasses.asdict(fault) for fault in left_out],
-        }
-    )
+    runs = []
+    for log, target in zip(logs, targets, strict=True):
+        batteries = {n: {"energy_wh": log.energy_wh(n), "power_from": log.power_from[n]} for n in log.batteries}
+        remarks = [fields_of(r, "kind column message action severity line") | {"rows": r.count} for r in log.remarks]
+        told = {"run": log.run, "file": str(target), **fields_of(log, "rows duration_s"), "batteries": batteries}
+        runs.append({**told, "columns": list(log.columns), "remarks": remarks})
+    named = {"source": str(sources[0]), "sources": [str(source) for source in sources], "map": str(map_)}
+    faults = [dataclasses.asdict(fault) for fault in left_out]
+    to.emit({"schema": "missionsim.import/1", **named, "runs": runs, "left_out": faults})
     if to.text:
         rows = []
         for log in logs[:20]:
@@ -187,16 +169,9 @@ def _list(sources: Sequence[Path], to: Output) -> int:
             key=lambda field: (-guesses[field.name].score if field.name in guesses else 9.0, len(field.name)),
         )
         listed.append((path, fields, shown, guesses))
-    to.emit(
-        {
-            "schema": "missionsim.source/1",
-            "source": str(listed[0][0]),
-            "fields": [
-                {"name": one.name, "kind": "text" if isinstance(one.values, Labels) else "number", "count": one.count}
-                for one in listed[0][1]
-            ],
-        }
-    )
+    kinds = [(one, "text" if isinstance(one.values, Labels) else "number") for one in listed[0][1]]
+    told = [{"name": one.name, "kind": kind, "count": one.count} for one, kind in kinds]
+    to.emit({"schema": "missionsim.source/1", "source": str(listed[0][0]), "fields": told})
     if not to.text:
         return 0
     terminal = console()
@@ -227,14 +202,9 @@ def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: O
     found = suggest_map(find_files(sources), battery)
     if out is not None:
         write_text(out, found.text)
-    to.emit(
-        {
-            "schema": "missionsim.suggestion/1",
-            "map": found.text,
-            "columns": {name: fields_of(guess, "role field unit sure why") for name, guess in found.columns.items()},
-            "missing": list(found.missing),
-        }
-    )
+    columns = {name: fields_of(guess, "role field unit sure why") for name, guess in found.columns.items()}
+    made = {"map": found.text, "columns": columns, "missing": list(found.missing)}
+    to.emit({"schema": "missionsim.suggestion/1", **made})
     if to.text and out is None:
         sys.stdout.write(visible(found.text))
     elif to.text:

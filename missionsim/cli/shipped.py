@@ -52,11 +52,7 @@ def _needed(described: dict[str, Any]) -> str:
 
 @effects_app.default
 def list_effects(*, to: Output = TERMINAL) -> int:
-    """List every effect of the library.
-
-    Parameters
-    ----------
-    """
+    """List every effect of the library."""
     from missionsim.effects.library import effect_ids
 
     described = [_describe(id) for id in effect_ids()]
@@ -95,32 +91,21 @@ def show(id: str, *, to: Output = TERMINAL) -> int:
 
 
 def robots(*, to: Output = TERMINAL) -> int:
-    """List the shipped robots with their batteries, components and control schemes.
-
-    Parameters
-    ----------
-    """
+    """List the shipped robots with their batteries, components and control schemes."""
     from missionsim.inputs import load_robot, shipped_robots
 
     described: list[dict[str, Any]] = []
     for name, path in shipped_robots().items():
         robot = load_robot(name)
-        described.append(
-            fields_of(robot, "name title")
-            | {
-                "path": str(path),
-                "sha256": robot.sha256,
-                "drive": robot.body.drive,
-                "max_speed_m_s": robot.body.max_speed.value,
-                "batteries": {key: {"capacity_wh": battery.capacity_wh} for key, battery in robot.batteries.items()},
-                "components": {
-                    key: {"units": item.units, "always_on": item.always_on} for key, item in robot.components.items()
-                },
-                "schemes": {key: list(item.navigation) for key, item in robot.schemes.items()},
-                "motion_model": robot.motion.model if robot.motion is not None else None,
-                "sources": robot.sources,
-            }
-        )
+        body = {"drive": robot.body.drive, "max_speed_m_s": robot.body.max_speed.value}
+        parts = {
+            "batteries": {key: fields_of(battery, "capacity_wh") for key, battery in robot.batteries.items()},
+            "components": {key: fields_of(item, "units always_on") for key, item in robot.components.items()},
+            "schemes": {key: list(item.navigation) for key, item in robot.schemes.items()},
+            "motion_model": robot.motion.model if robot.motion is not None else None,
+        }
+        head = {**fields_of(robot, "name title"), "path": str(path), "sha256": robot.sha256}
+        described.append({**head, **body, **parts, "sources": robot.sources})
     to.emit({"schema": "missionsim.robots/1", "robots": described})
     if to.text:
         rows = []

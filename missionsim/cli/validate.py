@@ -53,22 +53,16 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
     faults = sorted(set(faults))
     errors = [fault for fault in faults if fault.severity == "error"]
     count = len(yaml_files) + len(logs)
-    to.emit(
-        {
-            "schema": "missionsim.validation/1",
-            "files": count,
-            "valid": not errors,
-            "faults": [dataclasses.asdict(fault) for fault in faults],
-        }
-    )
+    told = [dataclasses.asdict(fault) for fault in faults]
+    to.emit({"schema": "missionsim.validation/1", "files": count, "valid": not errors, "faults": told})
     if to.json != "-":
         for fault in faults:
             print(fault, file=sys.stderr)
     if to.text:
         warnings = len(faults) - len(errors)
         numbers = ((count, "file"), (len(errors), "error"), (warnings, "warning"))
-        read, *told = (f"{number} {word}{'s' * (number != 1)}" for number, word in numbers)
-        print(f"{read}: " + (", ".join(told if warnings else told[:1]) if faults else "valid"))
+        read, *words = (f"{number} {word}{'s' * (number != 1)}" for number, word in numbers)
+        print(f"{read}: " + (", ".join(words if warnings else words[:1]) if faults else "valid"))
     return 2 if errors else 0
 
 

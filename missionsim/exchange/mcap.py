@@ -246,13 +246,8 @@ def _layout(topics: Mapping[str, Collection[str]]) -> dict[str, Any]:
     tree: Any = names[-1] if names else ""
     for number, name in enumerate(reversed(names[:-1]), 1):
         tree = {"direction": "column", "first": name, "second": tree, "splitPercentage": 100 / (number + 1)}
-    return {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": tree,
-    }
+    usual = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}}
+    return {"configById": panels, **usual, "layout": tree}
 
 
 def _plot(title: str, paths: Sequence[str]) -> dict[str, Any]:

@@ -75,14 +75,9 @@ def as_list(raw: object) -> object:
 class Model(BaseModel):
     """Frozen model; `line` and `where` are known for messages after the loader has sealed it."""
 
+    # only the kinds that are read are built
     model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        populate_by_name=False,
-        strict=False,
-        allow_inf_nan=False,
-        arbitrary_types_allowed=True,
-        defer_build=True,  # only the kinds that are read are built
+        extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True
     )
 
     line: ClassVar[int] = 0

@@ -38,11 +38,5 @@ def strange_floors(site: RobotAtSite, segments: Iterable[SegmentSpec] = ()) -> I
         told.add(floor)
         message = f"floor '{floor}' costs no more than the base: nothing of robot '{robot.name}' names it"
         base = "floors on which the base holds stand in the robot's origin: {range: {surface: […]}}"
-        yield document.fault(
-            where,
-            message,
-            got=floor,
-            allowed=f"{', '.join(known)}; {base}",
-            hint=did_you_mean(floor, known),
-            severity="warning",
-        )
+        allowed, hint = f"{', '.join(known)}; {base}", did_you_mean(floor, known)
+        yield document.fault(where, message, got=floor, allowed=allowed, hint=hint, severity="warning")

@@ -329,11 +329,8 @@ class _MissionCheck(Checker):
             np.linalg.cholesky(matrix)
         except np.linalg.LinAlgError:
             if not self.document.is_faulty(("correlations",), below=True):
-                message, allowed = (
-                    "these correlations cannot hold together",
-                    "a positive definite matrix of correlations",
-                )
-                self.add(("correlations",), message, ", ".join(paths), allowed, key=True)
+                got, allowed = ", ".join(paths), "a positive definite matrix of correlations"
+                self.add(("correlations",), "these correlations cannot hold together", got, allowed, key=True)
 
 
 def _count(segments: Sequence[Any]) -> int:

@@ -95,17 +95,10 @@ def floors_priced(robot: RobotSpec) -> set[str]:
 
 def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
     """A number of a file as a parameter of the model."""
-    return ModelParameter(
-        parameter.value,
-        unit or parameter.unit,
-        parameter.sd,
-        -float("inf") if parameter.low is None else parameter.low,
-        float("inf") if parameter.high is None else parameter.high,
-        parameter.status,
-        parameter.source,
-        parameter.path,
-        distribution=parameter.distribution,
-    )
+    p, low, high = parameter, parameter.low, parameter.high
+    limits = (-float("inf") if low is None else low, float("inf") if high is None else high)
+    told = (p.status, p.source, p.path)
+    return ModelParameter(p.value, unit or p.unit, p.sd, *limits, *told, distribution=p.distribution)
 
 
 def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:

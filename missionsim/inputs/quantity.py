@@ -88,31 +88,17 @@ class QuantityOf:
                 number["exclusiveMinimum" if self.strict_low else "minimum"] = self.low / factor
             if math.isfinite(self.high) and not self.percent_slope:
                 number["exclusiveMaximum" if self.strict_high else "maximum"] = self.high / factor
-        part = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": unit_pattern("")}]}
-        mapping = {
-            "x-quantity": "mapping",
-            "description": "an uncertain number, or one with its status and source",
-            "type": "object",
-            "additionalProperties": False,
-            "properties": {
-                **dict.fromkeys(("value", "sd", "low", "high"), part),
-                "distribution": {
-                    "type": "object",
-                    "additionalProperties": False,
-                    "required": ["kind"],
-                    "properties": {
-                        "kind": {"enum": list(_NEEDS)},
-                        **dict.fromkeys(("mean", "sd", "low", "high", "mode"), part),
-                        "values": {"type": "array", "items": part},
-                        "weights": {"type": "array", "items": {"type": "number", "minimum": 0}},
-                        **{key: {"type": "string"} for key in ("file", "column")},
-                    },
-                },
-                "unit": {"type": "string"},
-                "status": {"enum": list(STATUSES)},
-                **{key: {"type": "string"} for key in ("source", "note")},
-            },
-        }
+        part: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": unit_pattern("")}]}
+        word, only = {"type": "string"}, {"type": "object", "additionalProperties": False}
+        drawn: dict[str, Any] = {"kind": {"enum": list(_NEEDS)}}
+        drawn |= dict.fromkeys(("mean", "sd", "low", "high", "mode"), part)
+        drawn |= {"values": {"type": "array", "items": part}}
+        drawn |= {"weights": {"type": "array", "items": {"type": "number", "minimum": 0}}, "file": word, "column": word}
+        given: dict[str, Any] = dict.fromkeys(("value", "sd", "low", "high"), part)
+        given |= {"distribution": {**only, "required": ["kind"], "properties": drawn}, "unit": word}
+        given |= {"status": {"enum": list(STATUSES)}, "source": word, "note": word}
+        told = "an uncertain number, or one with its status and source"
+        mapping = {"x-quantity": "mapping", "description": told, **only, "properties": given}
         kind = "slope" if self.percent_slope else self.dimension or "any number"
         last = f"{'below' if self.strict_high else 'to'} {self.high:g}"
         ends = [f"from {self.low:g}"] * math.isfinite(self.low) + [last] * math.isfinite(self.high)

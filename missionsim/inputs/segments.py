@@ -196,20 +196,10 @@ class _SegmentSchema:
         return {"oneOf": [{**only, "required": [kind], "properties": {kind: {"$ref": ref}}} for kind, ref in kinds]}
 
 
+_Moves = DriveSegment | ArcSegment | TurnSegment | MoveSegment
+_Rests = InspectSegment | WaitSegment | DockSegment
 Segment = Annotated[
-    Annotated[
-        DriveSegment
-        | ArcSegment
-        | TurnSegment
-        | MoveSegment
-        | InspectSegment
-        | WaitSegment
-        | DockSegment
-        | RepeatSegment,
-        Field(discriminator="kind"),
-    ],
-    WrapValidator(_unwrap),
-    _SegmentSchema(),
+    Annotated[_Moves | _Rests | RepeatSegment, Field(discriminator="kind")], WrapValidator(_unwrap), _SegmentSchema()
 ]
 
 

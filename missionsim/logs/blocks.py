@@ -84,26 +84,18 @@ def checked_blocks(blocks: Iterator[RawTable], path: Path, robot: RobotSpec | No
             edges = ((before, slice(-lead, None)), (current, slice(None)), (after, slice(_EDGE)))
             own = (lead, lead + current.rows)
             # without a name, so that it does not stay while the block is used
-            yield make_log(
-                RawTable(
-                    current.file,
-                    {
-                        name: _join([table.columns[name][rows] for table, rows in edges if table is not None])
-                        for name in current.columns
-                    },
-                    current.lines,
-                    current.remarks,
-                    current.first_row - lead,
-                ),
-                path.stem,
-                robot=robot,
-                own=own,
-                statistics=before is None,
-            )
+            yield make_log(_beside(current, edges, lead), path.stem, robot=robot, own=own, statistics=before is None)
             before = current
         current = after
     if before is None:
         raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
+
+
+def _beside(table: RawTable, edges: Sequence[tuple[RawTable | None, slice]], lead: int) -> RawTable:
+    """A block with the rows of its neighbours, so many before it."""
+    parts = [(one.columns, rows) for one, rows in edges if one is not None]
+    columns = {name: _join([given[name][rows] for given, rows in parts]) for name in table.columns}
+    return RawTable(table.file, columns, table.lines, table.remarks, table.first_row - lead)
 
 
 def _join(parts: list[ColumnData]) -> ColumnData:

@@ -89,19 +89,9 @@ def read_echo(path: Path, options: Options) -> Recording:
     )
 
 
+_STATS_BEGIN = re.compile(rb"(?:[^\n]{1,40}\n)?(?:\d\d-\d\d-\d{4} \d\d:\d\d:\d\d )?RAM \d+/\d+MB ")
+_ECHO_BEGIN = re.compile(rb"header:\s*\n(?:  seq: \d+\s*\n)?  stamp:")
 READERS = (
-    Reader(
-        "tegrastats",
-        "tegrastats log",
-        (),
-        table=read_tegrastats,
-        like=re.compile(rb"(?:[^\n]{1,40}\n)?(?:\d\d-\d\d-\d{4} \d\d:\d\d:\d\d )?RAM \d+/\d+MB "),
-    ),
-    Reader(
-        "echo",
-        "file of echoed messages",
-        (),
-        recording=read_echo,
-        like=re.compile(rb"header:\s*\n(?:  seq: \d+\s*\n)?  stamp:"),
-    ),
+    Reader("tegrastats", "tegrastats log", (), table=read_tegrastats, like=_STATS_BEGIN),
+    Reader("echo", "file of echoed messages", (), recording=read_echo, like=_ECHO_BEGIN),
 )

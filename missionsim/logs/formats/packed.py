@@ -162,12 +162,8 @@ class Held:
             self.values.setdefault(name, array.array("d")).frombytes(values.tobytes())  # type: ignore[union-attr]
 
     def columns(self) -> dict[str, ColumnData]:
-        return {
-            name: numbers_in(Labels.of(column), name)
-            if isinstance(column, list)
-            else np.array(column, dtype=np.float64)
-            for name, column in self.values.items()
-        }
+        given = self.values.items()
+        return {n: numbers_in(Labels.of(c), n) if isinstance(c, list) else np.array(c, float) for n, c in given}
 
 
 class Batch:
@@ -234,10 +230,7 @@ class Batch:
                     stamps[rows[alike]] = seconds * 10**9 + rest
                 rows, block = rows[~alike], block[~alike]
         received = np.array(self._received, dtype=np.int64)
-        self.held.add_many(
-            np.where(stamps == 0, received, stamps)[whole],
-            received[whole],
-            {name: values[whole] for name, values in columns.items()},
-        )
+        known = {name: values[whole] for name, values in columns.items()}
+        self.held.add_many(np.where(stamps == 0, received, stamps)[whole], received[whole], known)
         self.broken += int((~whole).sum())
         self._data, self._received, self._bytes = [], [], 0
