@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.split import Split
@@ -24,9 +22,6 @@ from missionsim.physics.lag import Meter
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
-
-METER_ALLOWANCE = 0.01
-"""Relative standard deviation added to fitted base values: meters differ by about this much between runs (assumed)."""
 
 
 class NotSignificant(MissionsimError):
@@ -184,11 +179,7 @@ def write(
     from missionsim.inputs import edit
 
     known = models.features.parameters
-    base = {
-        name: (new.value, float(np.hypot(new.sd, METER_ALLOWANCE * abs(new.value))))
-        for name, new in fitted.values.items()
-        if name in known
-    }
+    base = {name: (new.value, new.sd) for name, new in fitted.values.items() if name in known}
     updates = {known[name].path: as_fitted(known[name], value, sd) for name, (value, sd) in base.items()}
     editing = edit.Editing(text).set_values(updates)
     # less of something than the file says: the base itself is smaller, there is no effect to add

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -53,7 +53,8 @@ class Bench:
     def imagined(self, manoeuvre: Manoeuvre) -> Gram:
         """Gram matrices of the logs with one more run, the manoeuvre; no measurement is needed for it."""
         model, features = self.model, self.features
-        run = imagined_run(self.power, features, manoeuvre, self.site)
+        refitted = {column.name: dict(column.shape) for column in model.source.layout.columns if column.shape}
+        run = imagined_run(self.power, features, manoeuvre, self.site, refitted)
         source = make_source([run], features.candidates, features.prior_sd, self.settings, like=model.source)
         design = source.design(replace(model.clock, run_delay_s=(0.0,)))
         level = np.maximum(design.base, 0.05 * design.layout.mean_power_w) / design.layout.mean_power_w
@@ -62,14 +63,22 @@ class Bench:
         return Gram(np.concatenate([model.gram.per_run, own.per_run]), model.gram.prior_precision)
 
 
-def imagined_run(power: PowerModel, features: Features, manoeuvre: Manoeuvre, site: Site) -> RunData:
-    """A manoeuvre as a run of the identification; its "measured" power is the base model's."""
+def imagined_run(
+    power: PowerModel,
+    features: Features,
+    manoeuvre: Manoeuvre,
+    site: Site,
+    refitted: Mapping[str, Mapping[str, float]] | None = None,
+) -> RunData:
+    """A manoeuvre as a run of the identification; its "measured" power is the base model's. `refitted`: see
+    `effect_columns`."""
     columns, battery = script(manoeuvre, site), features.battery
     time_s = columns["time_s"]
     dt_s = np.full(len(time_s), time_s[1] - time_s[0])
     run = Run(manoeuvre.name, columns, dt_s, {battery: np.zeros(len(time_s))}, {battery: None}, {battery: "power"})
     ready = prepare(power, [run], battery)
-    (data,) = ready.data([effect_columns(features.effects, features.candidates, cov) for cov in ready.covariates])
+    columns_of = [effect_columns(features.effects, features.candidates, cov, refitted) for cov in ready.covariates]
+    (data,) = ready.data(columns_of)
     return replace(data, measured_w=data.base_w)
 
 

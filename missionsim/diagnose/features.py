@@ -201,13 +201,19 @@ def steady_speed(run: Run) -> Run:
     return replace(run, columns={**run.columns, "speed_m_s": speed})
 
 
-def effect_columns(effects: Mapping[str, Effect], candidates: Sequence[Candidate], cov: Covariates) -> dict[str, Array]:
-    """Every candidate column for given covariates, such as those of a manoeuvre; power for coefficient 1 [W]."""
+def effect_columns(
+    effects: Mapping[str, Effect],
+    candidates: Sequence[Candidate],
+    cov: Covariates,
+    refitted: Mapping[str, Mapping[str, float]] | None = None,
+) -> dict[str, Array]:
+    """Every candidate column for given covariates, such as those of a manoeuvre; power for coefficient 1 [W].
+    `refitted`: shape parameters by column, where they are not those of the grid."""
     found: dict[str, Array] = {}
     for candidate in candidates:
         effect = effects[candidate.effect]
         for i, name in enumerate(candidate.columns):
-            shape = candidate.shape[i] if candidate.shape else {}
+            shape = (refitted or {}).get(name, candidate.shape[i] if candidate.shape else {})
             level = candidate.levels[i] if candidate.levels else ""
             found[name] = _column(effect, cov, shape, level)
     return found

@@ -146,9 +146,9 @@ def library(site: Site) -> list[Manoeuvre]:
     def add(name: str, do: str, *parts: Part) -> None:
         found.append(Manoeuvre(name, do, parts))
 
-    def pair(name: str, do: str, one: Mapping[str, Any], other: Mapping[str, Any], still: bool = False) -> None:
+    def pair(name: str, do: str, column: str, *values: Any, still: bool = False, **more: Any) -> None:
         speeds = () if still else (v,)
-        add(name, do, *(Part(TOTAL_S / 2, speeds, set={**plain, **own}) for own in (one, other)))
+        add(name, do, *(Part(TOTAL_S / 2, speeds, set={**plain, column: value, **more}) for value in values))
 
     def span(name: str) -> float:
         return high.get(name, 0.0) - low.get(name, 0.0)
@@ -171,56 +171,33 @@ def library(site: Site) -> list[Manoeuvre]:
         add("straight and curved", curve, *(Part(90.0, (v,), turn, set=plain) for turn in ((), (rates[1],))))
     if high.get("payload_kg", 0.0) > 0.0:
         load = round(high["payload_kg"], 1)
-        pair(
-            "payload on and off",
-            f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg",
-            {"payload_kg": 0.0},
-            {"payload_kg": load},
-        )
+        do = f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg"
+        pair("payload on and off", do, "payload_kg", 0.0, load)
     here = usual.get("surface", "")
     for other in site.choices.get("surface", ()):
         if other != here:
             do = f"drive {here} then {other} at {v:g} m/s{unloaded}, level, 90 s each"
-            pair(f"{here} and {other}", do, {"surface": here}, {"surface": other})
+            pair(f"{here} and {other}", do, "surface", here, other)
     steep = max(abs(low.get("slope_rad", 0.0)), abs(high.get("slope_rad", 0.0)))
     if steep > 0.01:
         steep = round(steep, 3)
         do = f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s, 3 min"
         add("ramp", do, Part(TOTAL_S, (v,), slope_rad=steep, set=plain))
     if span("temp_ambient_c") > 3.0:
-        cold, warm = round(low["temp_ambient_c"]), round(high["temp_ambient_c"])
-        pair(
-            "cold and warm",
-            f"drive straight and level{without} at {v:g} m/s, 90 s at {cold:g} °C and 90 s at {warm:g} °C",
-            {"temp_ambient_c": float(cold)},
-            {"temp_ambient_c": float(warm)},
-        )
+        cold, warm = (float(round(end["temp_ambient_c"])) for end in (low, high))
+        do = f"drive straight and level{without} at {v:g} m/s, 90 s at {cold:g} °C and 90 s at {warm:g} °C"
+        pair("cold and warm", do, "temp_ambient_c", cold, warm)
     if span("cpu_load") > 0.05:
-        pair(
-            "processor stress",
-            "stand still, 90 s with the processor idle and 90 s under full load",
-            {"cpu_load": low["cpu_load"]},
-            {"cpu_load": high["cpu_load"]},
-            still=True,
-        )
+        do = "stand still, 90 s with the processor idle and 90 s under full load"
+        pair("processor stress", do, "cpu_load", low["cpu_load"], high["cpu_load"], still=True)
     if high.get("cpu_freq_hz", 0.0) > 1.05 * low.get("cpu_freq_hz", 0.0) and "cpu_load" in usual:
         slow, fast = low["cpu_freq_hz"], high["cpu_freq_hz"]
-        pair(
-            "processor clock",
-            f"stand still under full load, 90 s at {slow / 1e9:.2f} GHz and 90 s at {fast / 1e9:.2f} GHz",
-            {"cpu_freq_hz": slow, "cpu_load": high["cpu_load"]},
-            {"cpu_freq_hz": fast, "cpu_load": high["cpu_load"]},
-            still=True,
-        )
+        do = f"stand still under full load, 90 s at {slow / 1e9:.2f} GHz and 90 s at {fast / 1e9:.2f} GHz"
+        pair("processor clock", do, "cpu_freq_hz", slow, fast, still=True, cpu_load=high["cpu_load"])
     if high.get("access_point_distance_m", 0.0) > 1.0:
         near, far = low["access_point_distance_m"], high["access_point_distance_m"]
-        pair(
-            "near and far from the access point",
-            f"stand still, 90 s at {near:.0f} m from the access point and 90 s at {far:.0f} m",
-            {"access_point_distance_m": near},
-            {"access_point_distance_m": far},
-            still=True,
-        )
+        do = f"stand still, 90 s at {near:.0f} m from the access point and 90 s at {far:.0f} m"
+        pair("near and far from the access point", do, "access_point_distance_m", near, far, still=True)
     off = {f"on_{name}": 0.0 for name in site.components}
     for name, units in site.components.items():
         do = f"stand still with everything else off and switch {name} off and on every 30 s, 3 min"

@@ -116,10 +116,8 @@ class Column:
     name: str
     watts_per_unit: float
     """Mean |power| for coefficient 1; the column is divided by it and multiplied by the mean measured power."""
-    mix: tuple[tuple[str, float], ...] = ()
-    """After a refit of the shape: grid columns and weights that stand for the column in other runs."""
     shape: tuple[tuple[str, float], ...] = ()
-    """The refitted shape parameters."""
+    """The shape parameters after a refit; runs that are made like these need the column at them."""
 
 
 @dataclass(frozen=True)

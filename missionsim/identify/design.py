@@ -265,9 +265,7 @@ def make_source(
         inside = 0.5 * (np.pad(step, (1, 0), mode="edge") + np.pad(step, (0, 1), mode="edge"))
         rows = [run.base_w, motion, switch_jumps(run), inside**2 / 12.0]
         rows += [run.gradient.get(name, zero) for name in layout.parameters]
-        for column in layout.columns:
-            mixed = (w * run.columns.get(name, zero) for name, w in column.mix)
-            rows.append(sum(mixed, start=zero) if column.mix else run.columns.get(column.name, zero))
+        rows += [run.columns.get(column.name, zero) for column in layout.columns]
         columns.append(RunColumns.of(run, b, rows))
     # a unit of the random "motion gain" is the mean measured power
     moving = np.concatenate([c.values[1] for c in columns])

@@ -148,27 +148,5 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
     if not mean > 0:
         return source
     columns = list(source.layout.columns)
-    columns[column] = replace(
-        columns[column], watts_per_unit=mean, mix=_mix(candidate, shape), shape=tuple(shape.items())
-    )
+    columns[column] = replace(columns[column], watts_per_unit=mean, shape=tuple(shape.items()))
     return source.with_column(column, replace(source.layout, columns=tuple(columns)), rows)
-
-
-def _mix(candidate: Candidate, shape: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-    """The two grid columns between which the shape lies, with weights (inverse distance in the logarithm where
-    positive); columns that differ in other shape parameters come from the nearest value."""
-
-    def place(values: Mapping[str, float]) -> Array:
-        return np.array([np.log(values[n]) if shape[n] > 0 and values[n] > 0 else values[n] for n in shape])
-
-    here = place(shape)
-    grid = np.array([place(s) for s in candidate.shape])
-    span = np.maximum(np.ptp(grid, axis=0), 1e-12)
-    distance = np.linalg.norm((grid - here) / span, axis=1)
-    first = int(np.argmin(distance))
-    across = [i for i in range(len(grid)) if float((grid[i] - here) @ (grid[first] - here)) < 0]
-    if distance[first] < 1e-9 or not across:
-        return ((candidate.columns[first], 1.0),)
-    second = min(across, key=lambda i: distance[i])
-    weight = distance[second] / (distance[first] + distance[second])
-    return ((candidate.columns[first], float(weight)), (candidate.columns[second], float(1 - weight)))
