@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,14 +27,8 @@ from missionsim.identify.settings import (
 Z95 = 1.959963984540054
 
 
-@dataclass(frozen=True)
-class Pair:
-    """How well effect ``a`` can be told from effect ``b``: correlation and expected log-likelihood lead [nats]."""
-
-    a: str
-    b: str
-    r: float
-    separation_nats: float
+Alike = Mapping[str, Mapping[str, tuple[float, float]]]
+"""Effect in the model → any other one → their correlation, and the expected log-likelihood lead over it [nats]."""
 
 
 def rivals(model: Model, effect: int) -> tuple[str, ...]:
@@ -154,14 +147,14 @@ def _pairs_without(
     return out
 
 
-def pairs(model: Model) -> tuple[Pair, ...]:
-    """Correlation and separation of each effect in the model from every other effect.
+def pairs(model: Model) -> Alike:
+    """How well each effect in the model can be told from every other effect.
 
     Columns are whitened, with base parameters, run effects and the rest of the model projected out; r is 0 where
     the sign of the coefficient forbids the imitation.
     """
     gram, constraints = model.gram, model.constraints
-    out: list[Pair] = []
+    out: dict[str, dict[str, tuple[float, float]]] = {}
     for a in model.chosen:
         rest = [k for k in model.chosen if k != a]
         left = gram.conditional(rest)
@@ -178,15 +171,13 @@ def pairs(model: Model) -> tuple[Pair, ...]:
             if abs(r) > abs(best.get(other, -1e-9)) or other not in best:
                 best[other] = r
         strength = 0.5 * value**2 * float(left[1 + a, 1 + a])
-        name = constraints.of_column(a).effect
-        out += [
-            Pair(name, constraints.candidates[o].effect, r, strength * (1 - min(1.0, r * r))) for o, r in best.items()
-        ]
-    return tuple(out)
+        row = {constraints.candidates[o].effect: (r, strength * (1 - min(1.0, r * r))) for o, r in best.items()}
+        out.setdefault(constraints.of_column(a).effect, {}).update(row)
+    return out
 
 
 def estimated(
-    choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Sequence[Pair], unnamed: Collection[str]
+    choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Alike, unnamed: Collection[str]
 ) -> tuple[Finding, ...]:
     """Every effect in the model but the `unnamed` ones, the one with the largest gain first. `shapes`: refitted shape
     parameters of each effect, with ``.low`` and ``.high`` for their limits; `alike`: how well each is told from others.
@@ -214,7 +205,7 @@ def estimated(
             parameters[name] = Estimate(shape[name], low, high, unit)
         share = sum(sizes[k] for k in own)
         similar = _similar(choice, number, sizes)
-        leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
+        leads = {name: nats for name, (_, nats) in alike.get(candidate.effect, {}).items()}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
         # the selection by prediction asks no likelihood

@@ -146,10 +146,10 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
     # after the refit of shapes, so that rivals meet the effect at its best
     alike = pairs(model)
     effects = estimated(choice, shapes, alike, unnamed)
-    confounding: dict[str, dict[str, float]] = {}
-    for pair in alike:
-        if math.isfinite(pair.r) and any(effect.effect == pair.a for effect in effects):
-            confounding.setdefault(pair.a, {})[pair.b] = pair.r
+    told_of = {effect.effect for effect in effects}
+    confounding = {
+        a: {b: r for b, (r, _) in row.items() if math.isfinite(r)} for a, row in alike.items() if a in told_of
+    }
     noise, layout = model.noise, model.design.layout
     shifts, covariance = model.estimate(model.chosen)
     told = ("fast_s", "slow_s", "fast_share", "slow_share", "offset_w", "gain", "motion_gain")
