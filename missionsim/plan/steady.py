@@ -39,19 +39,27 @@ def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) 
     return known
 
 
+def table(numbers: Sequence[float | Array]) -> Array:
+    """Numbers of intervals, each a float or an array of all runs. Gives an array of shape (intervals, runs), or
+    (intervals,) where none of them is an array."""
+    if not any(isinstance(number, np.ndarray) for number in numbers):
+        return np.array(numbers, dtype=float)
+    rows = np.empty((len(numbers), max(np.size(number) for number in numbers)))
+    for row, number in zip(rows, numbers, strict=True):
+        row[:] = number
+    return rows
+
+
 def covariates_of(settings: Sequence[Settings]) -> Columns:
-    """What settings say under glossary names, shape (settings,); not a number where only others say it."""
-    columns: dict[str, Any] = {
-        "slope_rad": np.array([s.slope_rad for s in settings]),
-        "payload_kg": np.array([s.payload_kg for s in settings]),
-    }
-    for name in ("scheme", "navigation", "surface"):
-        columns[name] = Labels.of([getattr(s, name) for s in settings])
+    """What settings say under glossary names, shape (settings,), or as `table`; not a number where only others say
+    it."""
+    columns: Columns = {name: table([getattr(s, name) for s in settings]) for name in ("slope_rad", "payload_kg")}
+    columns |= {name: Labels.of(getattr(s, name) for s in settings) for name in ("scheme", "navigation", "surface")}
     extras = [dict(s.extra) for s in settings]
     for name in sorted({name for extra in extras for name in extra}):
-        given = [extra.get(name, np.nan) for extra in extras]
+        given: list[Any] = [extra.get(name, np.nan) for extra in extras]
         text = any(isinstance(value, str) for value in given)
-        columns[name] = Labels.of(given) if text else np.array(given, dtype=float)
+        columns[name] = Labels.of(given) if text else table(given)
     return columns
 
 

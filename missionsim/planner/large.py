@@ -156,21 +156,16 @@ def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
     visits = site.task.visits
     fast = matrix(site, site.order.load_kg, np.eye(len(site.weights))[0])
     stands = [float(site.standing(1 + i, site.order.load_kg)[0, 0]) for i in range(len(visits))]
-    earlier = earlier_of(visits)
+    earlier, limit = earlier_of(visits), math.inf if site.task.most_kg is None else site.task.most_kg * (1 + 1e-12)
     scale = LATE * float(np.nanmean(apart[np.isfinite(apart)])) / max(float(np.nanmean(fast[np.isfinite(fast)])), 1e-9)
 
     def allowed(order: Sequence[int]) -> bool:
-        done: set[int] = set()
-        for i in order:
-            if not earlier[i] <= done:
-                return False
-            done.add(i)
-        load = site.order.load_kg
+        done, load = set[int](), site.order.load_kg
         for i in order:
             load += visits[i].load_kg
-            most = site.task.most_kg
-            if load < -1e-9 or (most is not None and load > most * (1 + 1e-12)):
+            if not earlier[i] <= done or not -1e-9 <= load <= limit:
                 return False
+            done.add(i)
         return True
 
     def cost(order: Sequence[int]) -> float:

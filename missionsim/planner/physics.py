@@ -8,6 +8,7 @@ import numpy as np
 
 from missionsim.effects.timeline import integrate
 from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
 from missionsim.inputs.mission import MissionBehaviour, MissionSpec, PolicySpec
@@ -18,16 +19,12 @@ from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Leg, Phase, Settings
-from missionsim.plan.steady import closure
-
-J_PER_WH = 3600.0
-LONG_AGO_S = 1e7
-"""Terms that fade with the time moved or switched on are taken as faded while searching; the mission that comes out is
-simulated with them."""
+from missionsim.plan.steady import LONG_AGO_S, closure
 
 
 class Physics:
-    """The power model of a task's robot, for arrays of phases.
+    """The power model of a task's robot, for arrays of phases. Terms that fade with the time moved or switched on are
+    taken as faded while searching; the mission that comes out is simulated with them.
 
     `names`: batteries, in the order of all arrays; `limits`: accelerations of the body; `capacity_wh`, `initial_wh`,
     `reserve_wh`, `held_wh` (what is never to be used, not on the way to a dock either): shape (batteries,).

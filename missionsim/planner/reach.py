@@ -20,10 +20,10 @@ from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.physics import Array
 from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg as PlanLeg
-from missionsim.plan.legs import OnEdge
 from missionsim.planner.answer import Answer, flow
 from missionsim.planner.chance import as_run, draws_of, told
 from missionsim.planner.physics import Physics
+from missionsim.planner.pieces import pieces_of
 from missionsim.planner.site import Site, make_site
 from missionsim.planner.solve import solve_site
 from missionsim.planner.why import with_ample
@@ -132,15 +132,17 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
     """Where on the way out the robot must turn back so as to keep its reserve; before an edge that leads one way only,
     where it would not come home from its end by any way."""
     physics = site.physics
-    left = physics.initial_wh - physics.reserve_wh
+    left, pieces = physics.initial_wh - physics.reserve_wh, pieces_of(site.task, physics, site.order.load_kg)
     out: list[PlanLeg] = []
     back: list[PlanLeg] = []
     for leg in plan.legs:
         if leg.piece is None:
             break
-        there = leg.piece.legs
-        retraced = _backwards(site, there)
-        home: Sequence[PlanLeg] = retraced or []
+        there, like = leg.piece.legs, (leg.piece.way.edge, leg.piece.scheme, leg.piece.speed)
+        # the same edge driven back in the same way; None where it leads one way only
+        turned = (p.legs for p in pieces[leg.place] if (p.way.edge, p.scheme, p.speed) == like)
+        retraced = next(turned, None)
+        home: Sequence[PlanLeg] = retraced or ()
         end: Sequence[PlanLeg] | None = back if retraced else []
         if retraced is None and leg.place != site.task.goal:  # by the way of which least is lacking; None without
             visits = (VisitSpec.model_construct(place=leg.place),)
@@ -178,24 +180,6 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
             "battery": physics.names[int(np.argmax(lacking))],
         }
     return None
-
-
-def _backwards(site: Site, legs: Sequence[PlanLeg]) -> list[PlanLeg] | None:
-    """The same edge driven back, in the same way; None where it leads one way only."""
-    edge = legs[0].edge
-    assert edge is not None
-    ways = site.road(site.order.load_kg)[0].road.driven
-    found = next((p for p in ways if p.way.edge == edge.edge and p.way.begin == edge.end), None)
-    if found is None:
-        return None
-    slope = found.legs[0].settings.slope_rad
-    made = []
-    for leg in reversed(legs):
-        assert leg.edge is not None
-        turned = OnEdge(edge.end, edge.begin, edge.edge, leg.edge.from_m, leg.edge.to_m)
-        speed = min(leg.speed_m_s, found.way.max_speed_m_s)
-        made.append(leg._replace(settings=leg.settings._replace(slope_rad=slope), edge=turned, speed_m_s=speed))
-    return made
 
 
 def _part(legs: Sequence[PlanLeg], share: float, first: bool) -> list[PlanLeg]:

@@ -169,15 +169,11 @@ def _lighter(site: Site) -> Iterator[dict[str, Any]]:
             text = f"a greatest load of {load:g} kg in place of {most:g} kg ({key})"
             yield _change(key, load, "kg", text, load / max(most or 0.0, 1e-9) - 1.0)
             break
-    more = sorted({-load for load in loads.tolist() if load < 0.0})
-    for extra in more:
-        given = Parameter(order.load_kg + extra, unit="kg")
-        if _changed(task, defaults=task.defaults.model_copy(update={"payload": given})).feasible:
-            text = (
-                f"{given.value:g} kg on board at the start in place of {order.load_kg:g} kg (defaults: {{payload: …}})"
-            )
-            relative = extra / max(float(np.abs(loads).max()), 1e-9)
-            yield _change("defaults.payload", given.value, "kg", text, relative)
+    for extra in sorted({-load for load in loads.tolist() if load < 0.0}):
+        kg = order.load_kg + extra
+        if _changed(task, defaults=task.defaults.model_copy(update={"payload": Parameter(kg, unit="kg")})).feasible:
+            text = f"{kg:g} kg on board at the start in place of {order.load_kg:g} kg (defaults: {{payload: …}})"
+            yield _change("defaults.payload", kg, "kg", text, extra / max(float(np.abs(loads).max()), 1e-9))
             break
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, f64, motion
 from missionsim.published.figures import Figure, Ours, load_figures, load_table, mission, run, shipped_robot
+from missionsim.runs import error
 
 PAPER, ROWS = "jaiem2021", "jaiem2021_table4_rows"
 SCHEMES = {
@@ -229,8 +229,7 @@ PLAN, DRIVEN = "pioneer3dx/valve_patrol", "pioneer3dx/valve_patrol_as_driven"
 SAMPLE_S = 1.0
 
 
-@dataclass(frozen=True)
-class ErrorCurve:
+class ErrorCurve(NamedTuple):
     """Error of the planned energy over the mission as driven, at equal progress."""
 
     time_s: Array
@@ -240,19 +239,13 @@ class ErrorCurve:
     """Both: cumulative energy of the plan at the same place, and of the run as driven. Shape (n,)."""
 
     def percent(self, relative_to: str = "predicted") -> Array:
-        """Error in %, of the ``predicted`` or the ``measured`` energy."""
-        base = self.predicted_wh if relative_to == "predicted" else self.measured_wh
-        return 100.0 * (self.measured_wh - self.predicted_wh) / base
+        """What the plan is short of, in % of the ``predicted`` or the ``measured`` energy."""
+        return -error.error_curve(self.measured_wh, self.predicted_wh, relative_to)
 
     def statistics(self, relative_to: str = "predicted") -> dict[str, float]:
         """Peak, final value, mean and standard deviation over the samples, %."""
-        error = self.percent(relative_to)
-        return {
-            "peak": float(np.max(error)),
-            "final": float(error[-1]),
-            "mean": float(np.mean(error)),
-            "std": float(np.std(error)),
-        }
+        found = error.error_statistics(self.percent(relative_to)).to_json()
+        return {name.removesuffix("_pct"): value for name, value in found.items()}
 
 
 def error_curve(battery: str) -> ErrorCurve:

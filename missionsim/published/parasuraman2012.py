@@ -45,25 +45,25 @@ def ours() -> dict[str, Ours]:
 
     slow, fast = f["speed.min"] / 1000.0, f["speed.max"] / 1000.0
     slow_wh = crossing_energy(slow, "wifi")
-    found["saving.speed"] = Ours(float(saving(slow_wh, crossing_energy(fast, "wifi"))))
+    found["saving.speed"] = Ours(saving(slow_wh, crossing_energy(fast, "wifi")))
     wifi, bluetooth = (run(TASK_A[name]).batteries["robot"].energy_wh for name in ("wifi", "bluetooth"))
     note = f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J"
-    found["saving.bluetooth"] = Ours(float(saving(wifi, bluetooth)), note)
-    found["saving.no_radio"] = Ours(float(saving(slow_wh, crossing_energy(fast, None))))
+    found["saving.bluetooth"] = Ours(saving(wifi, bluetooth), note)
+    found["saving.no_radio"] = Ours(saving(slow_wh, crossing_energy(fast, None)))
     static = named * (100.0 / f["table1.khepera.share"] - 1.0)
 
     def moving_only(speed: float, static_w: float) -> float:
-        return float(energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
+        return energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed))
 
     slow_j = moving_only(slow, static)
     note = f"static power {static:.3f} W, no standing time"
-    found["saving.speed.table1"] = Ours(float(saving(slow_j, moving_only(fast, static))), note)
+    found["saving.speed.table1"] = Ours(saving(slow_j, moving_only(fast, static)), note)
     # the 33 % give the difference of the radios; Bluetooth's own power is at least nought
     total_j = static * task.duration_s + motion_power(f["taskA.speed"] / 1000.0) * f["taskA.tp"]
     difference = f["saving.bluetooth"] / 100.0 * total_j / task.duration_s
     without = moving_only(fast, static - difference)
     note = f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W"
-    found["saving.no_radio.from33"] = Ours(float(saving(slow_j, without)), note)
+    found["saving.no_radio.from33"] = Ours(saving(slow_j, without), note)
 
     worst = max(abs(f["error.min"]), abs(f["error.max"]))
     found["margin.prediction"] = Ours(float(np.ceil(worst)))
@@ -74,38 +74,17 @@ def ours() -> dict[str, Ours]:
     return found
 
 
-def motion_law(
-    speed_m_s: ArrayLike,
-    payload_kg: ArrayLike = 0.0,
-    *,
-    per_speed_w_s_m: ArrayLike,
-    per_payload_w_kg: ArrayLike,
-    constant_w: ArrayLike,
-) -> Array:
-    """Motion power, W (Eq. 14: C_v v + C_mp m_p + C_I); nought at rest, where the motors are off. Units of the printed
-    Eq. 15 are not given; m/s and kg are the only ones in which Table I's 0.8 W can be met."""
-    speed = np.abs(f64(speed_m_s))
-    moving = f64(per_speed_w_s_m) * speed + f64(per_payload_w_kg) * f64(payload_kg) + f64(constant_w)
-    return np.where(speed > 0.0, moving, 0.0)
-
-
 def energy_needed(
-    distance_m: ArrayLike,
-    speed_m_s: ArrayLike,
-    *,
-    static_w: ArrayLike,
-    motion_w: ArrayLike,
-    standing_s: ArrayLike = 0.0,
-) -> Array:
+    distance_m: float, speed_m_s: float, *, static_w: float, motion_w: float, standing_s: float = 0.0
+) -> float:
     """Energy of a drive, J (Eq. 12: P_static t_n + P_motion t_p, t_p = d / v, t_n = t_p + standing time)."""
-    moving_s = f64(distance_m) / f64(speed_m_s)
-    return f64(static_w) * (moving_s + f64(standing_s)) + f64(motion_w) * moving_s
+    moving_s = distance_m / speed_m_s
+    return static_w * (moving_s + standing_s) + motion_w * moving_s
 
 
-def saving(before: ArrayLike, after: ArrayLike) -> Array:
+def saving(before: float, after: float) -> float:
     """Share of energy saved, %: 100 (before − after) / before."""
-    first = f64(before)
-    return 100.0 * (first - f64(after)) / first
+    return 100.0 * (before - after) / before
 
 
 def component_powers(power_w: ArrayLike, switched_on: ArrayLike) -> Array:
@@ -191,23 +170,22 @@ def static_powers(figures: Mapping[str, Figure]) -> StaticPowers:
     from scipy.optimize import fsolve
 
     f = {name: figure.value for name, figure in figures.items()}
-    law = {"per_speed_w_s_m": f["eq15.cv"], "per_payload_w_kg": f["eq15.cm"], "constant_w": f["eq15.ci"]}
     slow, fast, task = f["speed.min"] / 1e3, f["speed.max"] / 1e3, f["taskA.speed"] / 1e3
+    motion = {speed: motion_power(speed) for speed in (slow, fast, task)}
 
     def crossing(speed: float, static: float, standing: float) -> float:
-        power = float(motion_law(speed, **law))
-        return float(energy_needed(1.0, speed, static_w=static, motion_w=power, standing_s=standing))
+        return energy_needed(1.0, speed, static_w=static, motion_w=motion[speed], standing_s=standing)
 
     def residuals(x: Array) -> list[float]:
         plain, bluetooth, wifi, standing = (float(v) for v in x)
-        moving = float(motion_law(task, **law)) * f["taskA.tp"]
+        moving = motion[task] * f["taskA.tp"]
         with_wifi, with_bluetooth = ((plain + radio) * f["taskA.tn"] + moving for radio in (wifi, bluetooth))
         slow_j = crossing(slow, plain + wifi, standing)
         greatest = f["table1.khepera.power"]
         return [
-            float(saving(slow_j, crossing(fast, plain + wifi, standing))) - f["saving.speed"],
-            float(saving(with_wifi, with_bluetooth)) - f["saving.bluetooth"],
-            float(saving(slow_j, crossing(fast, plain, standing))) - f["saving.no_radio"],
+            saving(slow_j, crossing(fast, plain + wifi, standing)) - f["saving.speed"],
+            saving(with_wifi, with_bluetooth) - f["saving.bluetooth"],
+            saving(slow_j, crossing(fast, plain, standing)) - f["saving.no_radio"],
             100.0 * greatest / (greatest + plain + wifi) - f["table1.khepera.share"],
         ]
 

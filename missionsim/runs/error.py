@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from missionsim.effects.model import PowerModel
+from missionsim.files import Json, fields_of
 from missionsim.physics import Array
 from missionsim.runs.drive import drive
 from missionsim.runs.run import Run
@@ -98,13 +99,9 @@ class Errors:
         """Root mean square of the power error over all rows, weighted by time [W]."""
         return self.total.power_rmse_w
 
-    def to_json(self) -> dict[str, float]:
+    def to_json(self) -> Json:
         """The three numbers that are compared between models."""
-        return {
-            "energy_error_pct": self.energy_error_pct,
-            "run_energy_error_pct": self.run_energy_error_pct,
-            "power_rmse_w": self.power_rmse_w,
-        }
+        return fields_of(self, "energy_error_pct run_energy_error_pct power_rmse_w")
 
 
 def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
@@ -129,14 +126,9 @@ class ErrorStatistics:
     relative_to: str = "measured"
     """``measured`` or ``predicted``."""
 
-    def to_json(self) -> dict[str, float]:
+    def to_json(self) -> Json:
         """The four numbers."""
-        return {
-            "peak_pct": self.peak_pct,
-            "final_pct": self.final_pct,
-            "mean_pct": self.mean_pct,
-            "std_pct": self.std_pct,
-        }
+        return fields_of(self, "peak_pct final_pct mean_pct std_pct")
 
 
 def progress_grid() -> Array:
@@ -172,7 +164,7 @@ def error_statistics(curve: Array, relative_to: str = "measured") -> ErrorStatis
     """
     known = np.abs(curve[np.isfinite(curve)])
     if known.size == 0:
-        return ErrorStatistics(float("nan"), float("nan"), float("nan"), float("nan"), relative_to)
+        known = np.full(1, np.nan)
     return ErrorStatistics(float(known.max()), float(known[-1]), float(known.mean()), float(known.std()), relative_to)
 
 

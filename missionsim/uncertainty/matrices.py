@@ -18,21 +18,11 @@ from missionsim.effects.covariates import Columns, Covariates, Labels
 from missionsim.effects.timeline import Timeline
 from missionsim.physics import Array
 from missionsim.plan.legs import Leg, Phase, Plan
+from missionsim.plan.steady import covariates_of, table
 
 _RATE = "d/dt "
 PROGRESS_POINTS = 21
 """Charge of each battery is kept at so many instants, evenly over a run's duration."""
-
-
-def table(numbers: Sequence[float | Array]) -> Array:
-    """Numbers of intervals, each a float or an array of all runs. Gives an array of shape (intervals, runs), or
-    (intervals,) where none of them is an array."""
-    if not any(isinstance(number, np.ndarray) for number in numbers):
-        return np.array(numbers, dtype=float)
-    rows = np.empty((len(numbers), max(np.size(number) for number in numbers)))
-    for row, number in zip(rows, numbers, strict=True):
-        row[:] = number
-    return rows
 
 
 def running_sum(rows: Array) -> Array:
@@ -132,55 +122,37 @@ class Intervals:
 
     def duration(self, part: slice) -> Array:
         """Of each interval [s], shape (runs, intervals)."""
-        lasting = self._tables[""]
+        lasting: Array = self._tables[""]
         if lasting.ndim > 1:
             return lasting[:, part].T
         return np.repeat(lasting[:, None], part.stop - part.start, axis=1).T
 
     @functools.cached_property
-    def _tables(self) -> dict[str, Array]:
+    def _tables(self) -> Columns:
         """Covariates of each interval at its start and, with a prefix, their rates; see `table`."""
-        phases = self.phases
-        found = {"": table([phase.duration_s for phase in phases])}
+        settings = covariates_of([leg.settings for leg in self.plan.legs])
+        found = {"": table([phase.duration_s for phase in self.phases])}
+        found |= {name: values[self.leg_of] for name, values in settings.items()}
         for name, level, rate in (
             ("speed_m_s", "speed_m_s", "accel_m_s2"),
             ("lateral_speed_m_s", "lateral_m_s", "lateral_m_s2"),
             ("yaw_rate_rad_s", "yaw_rad_s", "yaw_rad_s2"),
         ):
-            found[name] = table([getattr(phase, level) for phase in phases])
-            found[_RATE + name] = table([getattr(phase, rate) for phase in phases])
-        for name in ("payload_kg", "slope_rad"):
-            found[name] = table([getattr(leg.settings, name) for leg in self.legs])
-        extra = [dict(leg.settings.extra) for leg in self.plan.legs]
-        for name in sorted({name for item in extra for name in item} - self._of_legs.keys()):
-            given = [item.get(name, np.nan) for item in extra]
-            found[name] = table([given[i] for i in self.leg_of.tolist()])
-        return found
-
-    @functools.cached_property
-    def _of_legs(self) -> dict[str, Any]:
-        """Covariates that no draw changes, of each interval."""
-        settings = [leg.settings for leg in self.plan.legs]
-        found: dict[str, Any] = {
-            name: Labels.of([getattr(item, name) for item in settings])[self.leg_of]
-            for name in ("scheme", "navigation", "surface")
-        }
+            found[name] = table([getattr(phase, level) for phase in self.phases])
+            found[_RATE + name] = table([getattr(phase, rate) for phase in self.phases])
         moving = np.array([phase.moving for phase in self.phases])
         # a leg that takes no time in any run is planned as standing
         before = np.concatenate([[False], moving[:-1]])
         found["moving"], found["starts"] = moving.astype(float), (moving & ~before).astype(float)
-        for name in sorted({name for item in settings for name, value in item.extra if isinstance(value, str)}):
-            found[name] = Labels.of([dict(item.extra).get(name, np.nan) for item in settings])[self.leg_of]
         return found
 
     def covariates(self, part: slice) -> tuple[Columns, Columns]:
         """Covariates at the start of each interval, shape (runs, intervals) or (intervals,), and their rates."""
-        cov: dict[str, Any] = dict(self._of_legs)
-        rates: dict[str, Any] = {}
+        cov: Columns = {}
+        rates: Columns = {}
         for name, rows in self._tables.items():
-            (rates if name.startswith(_RATE) else cov)[name.removeprefix(_RATE)] = (
-                rows[:, part].T if rows.ndim > 1 else rows
-            )
+            one = rows if isinstance(rows, Labels) or rows.ndim == 1 else rows[:, part].T
+            (rates if name.startswith(_RATE) else cov)[name.removeprefix(_RATE)] = one
         del cov[""]
         cov["accel_m_s2"], cov["lateral_accel_m_s2"] = rates["speed_m_s"], rates["lateral_speed_m_s"]
         return cov, rates
