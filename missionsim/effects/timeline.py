@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Columns, Labels, Value, is_clock, is_text
+from missionsim.effects.covariates import Columns, Labels, Value, is_clock
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.physics import Array
 from missionsim.physics.lag import GOES_ON, SETTLED, Lagged, halving_helps
@@ -31,8 +31,6 @@ class Timeline:
     """Change per second of a covariate inside the interval (speed in a ramp, ``moving_time_s``); 0 where absent."""
     segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Segment of the mission; -1 before and after. Shape (n,)."""
-    constants: Mapping[str, Any] = field(default_factory=dict)
-    """Scalars that hold for the whole run (``mass_kg`` of the body alone, ``regeneration``)."""
     lags: Mapping[str, Array] = field(default_factory=dict)
     """First-order lags of a model at the start of each interval, where these are known (`with_lags`). Shape (n,)."""
 
@@ -41,7 +39,7 @@ class Timeline:
 
     def covariates(self) -> Columns:
         """Covariates at the start of the intervals."""
-        return {**self.constants, **self.columns, **self.lags}
+        return {**self.columns, **self.lags}
 
     def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> Columns:
         """Covariates of the intervals `index` at times after their start.
@@ -50,12 +48,10 @@ class Timeline:
         are read (see `changing`); the others stay as at the start. All by default. Gives arrays of shape (m, q), or (m,
         1) of what does not change; texts as `Labels` with codes of shape (m, 1).
         """
-        cov: Columns = dict(self.constants)
+        cov: Columns = {}
         for name, value in self.columns.items():
             if isinstance(value, Labels):
                 cov[name] = Labels(value.codes[index][:, None], value.names)
-            elif is_text(value):
-                cov[name] = np.asarray(value)[index][:, None]
             else:
                 cov[name] = np.asarray(value, dtype=float)[index][:, None]
         for name in self.rates:
@@ -99,7 +95,6 @@ class Timeline:
             Lazily(first.columns, lambda name: stacked([line.columns[name] for line in lines])),
             Lazily(first.rates, lambda name: stacked([line.rates[name] for line in lines])),
             np.concatenate([line.segment for line in lines]),
-            first.constants,
         )
 
     def part(self, first: int, stop: int) -> Timeline:
@@ -111,7 +106,6 @@ class Timeline:
             Lazily(self.columns, lambda name: self.columns[name][cut]),
             Lazily(self.rates, lambda name: self.rates[name][cut]),
             self.segment[cut],
-            self.constants,
             {name: values[cut] for name, values in self.lags.items()},
         )
 
@@ -152,7 +146,7 @@ _GAP = 1.0 - float(NODES[-1])
 _ENDS = np.outer([-1.0, 1.0], 1.0 - np.array([1e-7, 0.125 * _GAP])).ravel()
 """More samples beyond the outermost nodes, which see no kink there; not at the very ends, where a power may jump."""
 SAMPLES = np.concatenate([NODES, _ENDS])
-"""Where a power is asked for within an interval, on [-1, 1]; see `averaged`."""
+"""Where a power is asked for within an interval, on [-1, 1]."""
 
 
 # values of the polynomial through the nodes at the ends: barycentric (Berrut and Trefethen 2004)
@@ -165,18 +159,8 @@ _MEAN = np.append(0.5 * WEIGHTS, np.zeros(len(_ENDS)))
 _RULES = np.column_stack([
     _MEAN, np.append(0.5 * GAUSS_WEIGHTS, np.zeros(len(_ENDS))) - _MEAN, np.vstack([-_TO_ENDS, np.eye(len(_ENDS))])
 ])  # fmt: skip
-"""Of powers at `SAMPLES`: mean, Gauss rule less that, and how far the ends are from the polynomial."""
-
-
-def averaged(powers: Array) -> tuple[Array, Array, Array]:
-    """Mean of a power over an interval by the Kronrod rule, and how far it may be off.
-
-    `powers` (shape (..., 19)): at `SAMPLES` of the interval. Gives `mean` (shape (...)); `spread` (shape (...)):
-    difference to the Gauss rule: what is not smooth between the nodes; `bent` (shape (...)): bound of what a kink
-    beyond the outermost nodes changes.
-    """
-    found = powers @ _RULES
-    return found[..., 0], np.abs(found[..., 1]), _KINK * np.abs(found[..., 2:]).max(axis=-1)
+"""Of powers at `SAMPLES`: mean by the Kronrod rule; the Gauss rule less that: what is not smooth between the nodes; and
+how far the ends are from the polynomial: times `_KINK` a bound of what a kink beyond the outermost nodes changes."""
 
 
 def integrate(
@@ -218,31 +202,6 @@ def _of_rows(values: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, An
     return {name: value[index][:, None] if np.ndim(value) else value for name, value in values.items()}
 
 
-def lags_of(
-    model: PowerModel,
-    at: Callable[[NDArray[np.intp], Array], Columns],
-    values: Callable[[NDArray[np.intp]], Mapping[str, Value]],
-    duration_s: Array,
-    begin: Mapping[str, Array],
-) -> dict[str, Lagged]:
-    """The lags that a model reads, over intervals.
-
-    `at`: covariates, and `values`: the model's parameters, of some intervals (shape (k,)) at times after their start
-    (shape (k, q)). `begin`: of each lag, what it is where each interval begins, or how that follows.
-    """
-
-    def made(name: str) -> Lagged:
-        def signal(index: NDArray[np.intp], seconds: Array) -> Array:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                x = model.lagging(name, at(index, seconds), values(index))
-            return np.broadcast_to(np.asarray(x, dtype=float), seconds.shape)
-
-        tau_s = np.ravel(model.time_constant(name, values(np.arange(len(duration_s)))))
-        return Lagged(signal, duration_s, np.broadcast_to(tau_s, len(duration_s)), begin[name])
-
-    return {name: made(name) for name in model.lags}
-
-
 def with_lags(
     model: PowerModel,
     timeline: Timeline,
@@ -268,13 +227,20 @@ def with_lags(
 def _solved(
     model: PowerModel, line: Timeline, which: NDArray[np.intp], values: Mapping[str, Any], begin: Mapping[str, Array]
 ) -> dict[str, Lagged]:
-    return lags_of(
-        model,
-        lambda index, seconds: line.at(which[index], seconds),
-        lambda index: _of_rows(values, which[index]),
-        line.duration_s[which],
-        begin,
-    )
+    """The lags that a model reads over some intervals. `begin`: of each lag, what it is where each interval begins, or
+    how that follows."""
+    length = line.duration_s[which]
+
+    def made(name: str) -> Lagged:
+        def signal(index: NDArray[np.intp], seconds: Array) -> Array:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                x = model.lagging(name, line.at(which[index], seconds), _of_rows(values, which[index]))
+            return np.broadcast_to(np.asarray(x, dtype=float), seconds.shape)
+
+        tau_s = np.ravel(model.time_constant(name, _of_rows(values, which)))
+        return Lagged(signal, length, np.broadcast_to(tau_s, len(length)), begin[name])
+
+    return {name: made(name) for name in model.lags}
 
 
 def within(
@@ -318,7 +284,7 @@ def _quadrature(
         parts: dict[TermKey, Array] = {}
         for terms in powers.values():
             scale = np.zeros(index.size)
-            spread, bent = np.zeros(index.size), np.zeros(index.size)
+            off = np.zeros(index.size)
             for key, power in terms.items():
                 watts = np.asarray(power)
                 if key not in varying and (depth or watts.ndim < 2 or watts.shape[1] == 1):
@@ -326,12 +292,11 @@ def _quadrature(
                     continue
                 with np.errstate(over="ignore", invalid="ignore"):
                     whole = np.broadcast_to(watts, times.shape)
-                    mean, apart, beyond = averaged(whole)
-                    parts[key] = length * mean
+                    found = whole @ _RULES
+                    parts[key] = length * found[:, 0]
                     scale += np.abs(whole) @ _MEAN
-                    spread += apart
-                    bent += beyond
-            bad |= (spread > tolerance * scale) | (bent > tolerance * scale)
+                    off += np.maximum(np.abs(found[:, 1]), _KINK * np.abs(found[:, 2:]).max(axis=1))
+            bad |= off > tolerance * scale
         if not halving_helps(depth, index.size, len(timeline)):
             bad[:] = False
         good = ~bad

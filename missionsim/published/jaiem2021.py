@@ -337,7 +337,7 @@ def uncertain_statistics(draws: int, seed: int) -> dict[str, dict[str, Array]]:
     plan = run(PLAN)
     model = build_power_model(mission(PLAN).robot)
     first = np.array([int(np.flatnonzero(plan.timeline.segment == i)[0]) for i in range(len(plan.segments))])
-    cov = {name: column[first] for name, column in plan.timeline.columns.items()} | dict(plan.timeline.constants)
+    cov = {name: column[first] for name, column in plan.timeline.columns.items()}
     driven = {**cov, "speed_m_s": np.asarray(cov["speed_m_s"]) * ratio}
     driven_s = _durations(PLAN) * stretch / ratio
     result: dict[str, dict[str, Array]] = {}
