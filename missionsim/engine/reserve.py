@@ -17,6 +17,7 @@ from missionsim.physics.lag import GOES_ON, SETTLED
 from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg, Limits, OnEdge
 from missionsim.plan.routes import Routes, Way, along
+from missionsim.plan.steady import units_on
 
 if TYPE_CHECKING:
     from missionsim.engine.world import World
@@ -183,13 +184,11 @@ def _rows(
     rows: list[Row] = []
     owner: list[int] = []
     states: dict[tuple[float, ...], int] = {}
-    always = {name: float(info.units) for name, info in world.board.infos.items() if info.always_on}
     for number, (key, way) in enumerate(ways.items()):
         if not way:
             continue
         now, base = 0.0, len(legs)
-        units = {**world.board.closure(way[0].settings.sensors), **always}
-        on = [float(units.get(name, 0)) for name in world.recorder.components]
+        on = units_on(world.board.infos, way[0].settings.sensors)
         state = states.setdefault((*on, *([0.0] * (2 * len(on)))), len(states))
         for step in group(way, homing.limits):
             for phase in step.phases:

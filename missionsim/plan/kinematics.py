@@ -99,18 +99,6 @@ def ramp_phases(
     )
 
 
-def phases(distance_m: ArrayLike, limit_m_s: ArrayLike) -> Phases:
-    """Phases of a run without a limit of the acceleration, the papers' assumption; shaped as those of `ramp_phases`.
-    Each piece at its speed from its first metre to its last, so that only its cruising phase lasts."""
-    distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
-    zero = np.zeros_like(limit)
-    return Phases(
-        np.stack([zero, distance / limit, zero], axis=-1),
-        np.stack([limit, limit, limit], axis=-1),
-        np.stack([zero, zero, zero], axis=-1),
-    )
-
-
 SHORTEST_PHASE_S = 1e-12
 """Phases below this are rounding residues of the profile and are dropped."""
 

@@ -18,12 +18,14 @@ LONG_AGO_S = 1e7
 
 
 class Requiring(Protocol):
-    """A component as far as it names others."""
+    """A component as far as it is on by itself or by others."""
 
     @property
-    def requires(self) -> tuple[str, ...]:
-        """Components that must be on before."""
-        ...
+    def units(self) -> int: ...
+    @property
+    def always_on(self) -> bool: ...
+    @property
+    def requires(self) -> tuple[str, ...]: ...
 
 
 def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) -> dict[str, int]:
@@ -37,6 +39,13 @@ def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) 
         known[name] = units
         waiting.extend((required, 1) for required in infos[name].requires)
     return known
+
+
+def units_on(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) -> list[float]:
+    """Units of each component that are on: those asked for, what they require, and what is always on."""
+    always = ((name, info.units) for name, info in infos.items() if info.always_on)
+    units = closure(infos, (*sensors, *always))
+    return [float(units.get(name, 0)) for name in infos]
 
 
 def table(numbers: Sequence[float | Array]) -> Array:
@@ -77,10 +86,9 @@ def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> 
         "time_s": zero + LONG_AGO_S,
         **covariates_of(settings),
     }
-    always = tuple((name, spec.units) for name, spec in robot.components.items() if spec.always_on)
-    on = [closure(robot.components, (*s.sensors, *always)) for s in settings]
-    for name in robot.components:
-        cov[f"on_{name}"] = np.array([float(units.get(name, 0)) for units in on])
+    on = np.array([units_on(robot.components, s.sensors) for s in settings]).reshape(len(legs), -1)
+    for name, units in zip(robot.components, on.T, strict=True):
+        cov[f"on_{name}"] = units
         cov[f"starting_{name}"] = zero
         cov[f"on_time_{name}_s"] = zero + LONG_AGO_S
     powers = model.evaluate(cov)

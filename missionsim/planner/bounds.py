@@ -180,12 +180,11 @@ def bounds_of(
         made = np.repeat(-order.left(tour.values)[:, None], tour.size, axis=1)
         made[:, site.goal] = 0.0
         least[:, -1] = made.ravel()
+    _, stands, which = _by_load(site, unit[0])
     for i, visit in enumerate(site.task.visits):
         if visit.window is not None and visit.window.until is not None:
-            for state in range(order.count):
-                node = state * tour.size + 1 + i
-                stand = float(site.standing(1 + i, max(0.0, order.payload_kg(state)))[0, 0])
-                least[node, 1] = max(least[node, 1], most[1] - visit.window.until.value - stand)
+            done = slice(1 + i, order.count * tour.size, tour.size)
+            least[done, 1] = np.maximum(least[done, 1], most[1] - visit.window.until.value - stands[which, i])
     zero = np.zeros(len(most) - 1)
     first = [] if uncharged is None else [zero, *uncharged]
     later = [(multiplier, None if uncharged is None else zero) for multiplier in [zero, *multipliers]]
@@ -236,22 +235,17 @@ def cheapest(tour: Tour, prices: Array, *, straight: bool = False) -> tuple[list
     site, order, table = tour.site, tour.site.order, rest(tour, prices, straight=straight)
     if not math.isfinite(table[0, 0]):
         return None
-    weights, worth = tour.priced(prices)
-    known: dict[float, Array] = {}
+    apart, stands, which = _by_load(site, *tour.priced(prices), straight=straight)
     here, state = 0, 0
     steps: list[tuple[int, int]] = []
     while here != site.goal:
-        payload = order.payload_kg(state)
-        if payload not in known:
-            known[payload] = matrix(site, payload, weights, straight=straight)
-        apart = known[payload][here]
-        options = []
-        for visit, after in order.after(state):
-            stands = site.standing(1 + visit, order.payload_kg(after)) @ weights
-            there = float(stands.min()) - (0.0 if worth is None else float(worth[visit]))
-            options.append((apart[1 + visit] + there + table[after, 1 + visit], 1 + visit, after))
+        drives = apart[which[state], here]
+        options = [
+            (drives[1 + visit] + stands[which[after], visit] + table[after, 1 + visit], 1 + visit, after)
+            for visit, after in order.after(state)
+        ]
         if order.may_end(state):
-            options.append((apart[site.goal], site.goal, state))
+            options.append((drives[site.goal], site.goal, state))
         _, here, state = min(options)
         steps.append((here, state))
     return steps, float(table[0, 0])

@@ -19,7 +19,7 @@ from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Leg, Phase, Settings
-from missionsim.plan.steady import LONG_AGO_S, closure
+from missionsim.plan.steady import LONG_AGO_S, units_on
 
 
 class Physics:
@@ -87,9 +87,7 @@ class Physics:
         states: dict[tuple[float, ...], int] = {}  # units on, units starting, time of switching on, of each component
         state_of = []
         for each in self._settings:
-            units = closure(self._infos, each.sensors)
-            own = [info.units if info.always_on else 0 for info in self._infos.values()]
-            on = [float(max(least, units.get(name, 0))) for name, least in zip(names, own, strict=True)]
+            on = units_on(self._infos, each.sensors)
             state = (*on, *(0.0 for _ in names), *(-ago for _ in names))
             state_of.append(states.setdefault(state, len(states)))
         rows = []

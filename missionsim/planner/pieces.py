@@ -24,7 +24,7 @@ from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of
-from missionsim.plan.kinematics import phases, ramp_phases
+from missionsim.plan.kinematics import Phases, ramp_phases
 from missionsim.plan.legs import Leg
 from missionsim.plan.routes import Routes, Way
 from missionsim.planner.physics import Physics
@@ -248,7 +248,7 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
     which = np.array([number.setdefault(piece, len(number)) for piece in driven], dtype=np.intp)
     groups = grouped(number, lambda piece: (len(piece.legs), piece.instant))
     parts: list[tuple[NDArray[Any], ...]] = []
-    for (count, instant), members in groups.items():
+    for (_, instant), members in groups.items():
         place = np.full(len(number), -1)
         place[[number[piece] for piece in members]] = np.arange(len(members))
         rows = np.flatnonzero(place[which] >= 0)
@@ -256,13 +256,13 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
         distance = np.array([[leg.distance_m for leg in piece.legs] for piece in members])[mine]
         limit = np.array([[leg.speed_m_s for leg in piece.legs] for piece in members])[mine]
         settings = np.array([[physics.settings_index(leg.settings) for leg in piece.legs] for piece in members])[mine]
-        if instant:
-            made = phases(distance, limit)
+        if instant:  # only its cruising phase lasts
+            made = Phases((distance / limit)[..., None], limit[..., None], np.zeros((*limit.shape, 1)))
         else:
             accel = np.full(len(rows), physics.limits.accel_m_s2)
             decel = np.full(len(rows), physics.limits.decel_m_s2)
             made = ramp_phases(distance, limit, accel, decel, speeds[rows, 0], speeds[rows, 1])
-        shape = (len(rows), count, 3)
+        shape = made.duration_s.shape
         first = np.cumsum(made.duration_s.reshape(len(rows), -1) > 0.0, axis=1).reshape(shape) == 1
         starts = first & (made.duration_s > 0.0) & rest[rows][:, None, None]
         owner = np.broadcast_to(rows[:, None, None], shape)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missionsim.plan.kinematics import Phases, junction_speeds, phases, ramp_phases
+from missionsim.plan.kinematics import Phases, junction_speeds, ramp_phases
 
 lengths = st.lists(st.floats(0.01, 200.0), min_size=1, max_size=6)
 rates = st.floats(0.05, 5.0)
@@ -68,13 +68,6 @@ def test_braking_for_a_slow_zone_begins_before_it() -> None:
     assert junction_speeds([10.0, 0.01, 5.0], [1.0, 1.0, 0.1], 0.5, 0.25) == pytest.approx(
         [0.0, (0.1**2 + 2 * 0.25 * 0.01) ** 0.5, 0.1, 0.0]
     )
-
-
-def test_constant_speed_is_distance_over_speed() -> None:
-    made = phases([10.0, 6.0], [0.5, 0.3])
-    assert float(made.duration_s.sum()) == pytest.approx(40.0)
-    assert phases([10.0], [0.5]).duration_s.sum() == pytest.approx(20.0)
-    assert not made.accel_m_s2.any()
 
 
 def test_draws_broadcast_to_the_same_numbers_as_scalars() -> None:
