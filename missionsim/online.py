@@ -20,7 +20,6 @@ from missionsim.errors import InputError
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.inputs.mission import MissionSpec, reserve_of
 from missionsim.physics import Array
-from missionsim.runs.motion import distances
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
         )
     line = result.timeline
     energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
-    distance = distances(line)
+    distance = line.ways_m()
     homes = result.home_energy()
     if all(home.get(battery) is not None for home in homes):
         # straight lines between the ends of segments

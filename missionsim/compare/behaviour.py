@@ -46,7 +46,7 @@ class Stages:
 
     def stretched(self, members: NDArray[np.bool_], way_m: float) -> Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
-        distance = motion.distances(self.timeline)
+        distance = self.timeline.ways_m()
         chosen = members & self._driving()
         cruise = chosen & ~(np.asarray(self.timeline.rates.get("speed_m_s", 0.0)) != 0.0)
         if not distance[cruise].sum() > 0.0:
@@ -61,7 +61,7 @@ class Stages:
         """The same way at another mean speed: time runs faster or slower while driving."""
         chosen = members & self._driving()
         duration = float(self.timeline.duration_s[chosen].sum())
-        now = ratio(float(motion.distances(self.timeline)[chosen].sum()), duration)
+        now = ratio(float(self.timeline.ways_m()[chosen].sum()), duration)
         # no row counts as driving below this speed, so a mean below it means that nothing was driven
         if now <= 0.0 or speed_m_s < STILL_SPEED_M_S:
             return self

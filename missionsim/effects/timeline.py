@@ -72,12 +72,12 @@ class Timeline:
 
     def ways_m(self) -> NDArray[np.float64]:
         """Way driven in each interval [m], forward and sideways."""
-        time, cov, rates = self.duration_s, self.columns, self.rates
-        if "speed_m_s" not in cov:
-            return np.zeros(len(self))
-        ahead = cov["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
-        aside = cov["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
-        return np.asarray(np.hypot(ahead, aside))
+        time, none = self.duration_s, np.zeros(len(self))
+
+        def along(name: str) -> Any:
+            return self.columns.get(name, none) * time + 0.5 * self.rates.get(name, none) * time**2
+
+        return np.asarray(np.hypot(along("speed_m_s"), along("lateral_speed_m_s")))
 
     @staticmethod
     def joined(lines: Sequence[Timeline]) -> Timeline:

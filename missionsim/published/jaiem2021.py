@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -10,8 +11,9 @@ import numpy as np
 
 from missionsim.effects.model import PowerModel
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import Array, f64, motion
+from missionsim.physics import Array, motion
 from missionsim.published.figures import Figure, Ours, load_figures, load_table, mission, run, shipped_robot
+from missionsim.results.write import segments_table
 from missionsim.runs import error
 
 PAPER, ROWS = "jaiem2021", "jaiem2021_table4_rows"
@@ -251,7 +253,7 @@ class ErrorCurve(NamedTuple):
 def error_curve(battery: str) -> ErrorCurve:
     """The curve of one battery from two simulations. Both runs have the same segments and hold their speed within one,
     so equal progress is an equal share of a segment."""
-    return curve(_durations(DRIVEN), *(run(name).by_segment_wh(battery) for name in (PLAN, DRIVEN)))
+    return curve(_of_segments(DRIVEN, "duration_s"), *(run(name).by_segment_wh(battery) for name in (PLAN, DRIVEN)))
 
 
 def curve(driven_s: Array, plan_wh: Array, driven_wh: Array) -> ErrorCurve:
@@ -264,22 +266,15 @@ def curve(driven_s: Array, plan_wh: Array, driven_wh: Array) -> ErrorCurve:
     return ErrorCurve(time, predicted, measured)
 
 
-def _durations(name: str) -> Array:
-    result = run(name)
-    ends = np.array([result.segment_end_s[index] for index in range(len(result.segments))])
-    return np.diff(ends, prepend=0.0)
-
-
-def _ways_m(name: str) -> Array:
-    """Way of each segment by its speed at the beginning of intervals."""
-    line = run(name).timeline
-    way = np.asarray(line.columns["speed_m_s"]) * line.duration_s
-    return f64(np.bincount(line.segment, way, len(run(name).segments)))
+@functools.cache
+def _of_segments(name: str, column: str) -> Array:
+    """A column of the table of segments of a mission's run."""
+    return np.array(segments_table(run(name))[column], dtype=float)
 
 
 def velocity_gaps() -> dict[str, float]:
     """Velocity gap of each segment that moves, %: 1 − mean speed as driven / planned, from the simulated runs."""
-    planned, driven = (_ways_m(name) / _durations(name) for name in (PLAN, DRIVEN))
+    planned, driven = (_of_segments(name, "distance_m") / _of_segments(name, "duration_s") for name in (PLAN, DRIVEN))
     return {
         segment.name: float(100.0 * (1.0 - driven[index] / planned[index]))
         for index, segment in enumerate(run(PLAN).segments)
@@ -311,7 +306,7 @@ def behaviour_draws(draws: int, rng: np.random.Generator) -> tuple[Array, Array]
     drift = np.abs(rng.normal(DRIFT, DRIFT_SD, draws))
     settle = np.clip(rng.normal(SETTLE_M, SETTLE_SD_M, draws), 0.2, None)
     amplitude = np.abs(rng.normal(AMPLITUDE_M, AMPLITUDE_SD_M, draws))
-    lengths = _ways_m(PLAN)
+    lengths = _of_segments(PLAN, "distance_m")
     printed = load_figures("jaiem2021")
     spacing = printed["sec341.d2"].value / printed["sec341.qr_markers2"].value
     for index, segment in enumerate(spec.segments):
@@ -339,7 +334,7 @@ def uncertain_statistics(draws: int, seed: int) -> dict[str, dict[str, Array]]:
     first = np.array([int(np.flatnonzero(plan.timeline.segment == i)[0]) for i in range(len(plan.segments))])
     cov = {name: column[first] for name, column in plan.timeline.columns.items()}
     driven = {**cov, "speed_m_s": np.asarray(cov["speed_m_s"]) * ratio}
-    driven_s = _durations(PLAN) * stretch / ratio
+    driven_s = _of_segments(PLAN, "duration_s") * stretch / ratio
     result: dict[str, dict[str, Array]] = {}
     for battery in plan.batteries:
         power = np.broadcast_to(np.asarray(model.total(driven, battery)), driven_s.shape)

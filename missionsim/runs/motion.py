@@ -68,11 +68,6 @@ def middle_of(line: Timeline) -> Columns:
     return {name: c + line.rates[name] * half if name in line.rates else c for name, c in line.columns.items()}
 
 
-def distances(line: Timeline) -> Array:
-    """Way of each interval of a plan [m]."""
-    return np.asarray(speed_of({"speed_m_s": np.zeros(len(line)), **middle_of(line)}) * line.duration_s)
-
-
 def scheme_codes(columns: Covariates, count: int, *, ignore: bool) -> tuple[NDArray[np.int64], list[str]]:
     """Scheme of each row as a code, and the names; one nameless scheme with `ignore` or where none is logged."""
     scheme = columns.get("scheme")
