@@ -81,7 +81,7 @@ MUTANTS = [
         ("falling = (peak - after) / decel", "falling = (peak - after) / accel"),
         ("cruising = np.where(free > limit", "cruising = np.where(free < limit"),
         ("-decel + zero]", "decel + zero]"),
-        ("np.stack([zero, distance / limit, zero]", "np.stack([zero, distance * limit, zero]"),
+        ("[[(size / top, top, 0.0)]", "[[(size * top, top, 0.0)]"),
         ("np.square(after)) / (2 * decel)", "np.square(after)) / (2 * accel)"),
     ),
     *_of(
