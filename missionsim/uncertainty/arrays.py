@@ -259,7 +259,8 @@ class ArrayMission:
             relieved = any(term.limited and term.key in changing for term in terms)
             for term in terms:
                 rows, component = still[battery], term.key.component
-                if load or term.key in changing or (relieved and (term.effect.drive or term.limited)):
+                coupled = load or (relieved and (term.effect.drive or term.limited))
+                if coupled or term.key in changing or term.effect.impulse is not None:
                     kept.append(term)
                 else:
                     watts = np.broadcast_to(np.asarray(powers[term.key], dtype=float), (1, duration.shape[1]))[0, first]

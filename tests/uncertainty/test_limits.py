@@ -163,6 +163,19 @@ def test_a_kink_inside_an_interval_is_found_in_every_run(tmp_path: Path) -> None
     )
 
 
+def test_what_a_start_takes_at_once_is_in_every_run(tmp_path: Path) -> None:
+    drive = "  - drive: {distance: 5 m, speed: {value: 0.5 m/s, sd: 4 %}}\n  - wait: {duration: 3 s}\n"
+    path = written(tmp_path, f"defaults: {{profile: constant_speed}}\nsegments:\n{2 * drive}")
+    robot = tmp_path / "robot.yaml"
+    own = "effects:\n  - {effect: start_surge, battery: main, parameters: {E: 40}}\n"
+    robot.write_text(robot.read_text(encoding="utf-8") + own, encoding="utf-8")
+    prepared = prepare(Task(path, (), None, 1, "auto"))
+    assert prepared.arrays is not None, prepared.why_not_arrays
+    assert_agree(
+        prepared.arrays.block(1, 0, 40), simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 40)
+    )
+
+
 @pytest.mark.parametrize("regeneration", ["0 %", "15 %", "{value: 40 %, sd: 10 %}"])
 def test_where_braking_gives_back_is_found_in_every_run(tmp_path: Path, regeneration: str) -> None:
     drive = "  - drive: {distance: 12 m, speed: {value: 0.7 m/s, sd: 2 %}, slope: SLOPE}\n"
