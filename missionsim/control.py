@@ -135,10 +135,8 @@ class PowerPredictor:
 
     def _cpu(self) -> dict[str, float]:
         if not self._loads:
-            raise InputError.single(
-                f"robot '{self.spec.name}' has no computer whose load follows its speed",
-                allowed="a component with law: {model: multicore_cpu}",
-            )
+            told = f"robot '{self.spec.name}' has no computer whose load follows its speed"
+            raise InputError.single(told, allowed="a component with law: {model: multicore_cpu}")
         return self._loads
 
     def clocks(self, step_hz: float = TX2_STEP_HZ) -> Array:
@@ -156,9 +154,8 @@ class PowerPredictor:
         """Speed and clock of least energy per metre on a grid, keeping the quality of service if asked."""
         speed, clock = np.meshgrid(f64(speeds_m_s), f64(clocks_hz), indexing="ij")
         if not ((speed >= 0.0).all() and np.isfinite(speed).all() and (speed > 0.0).any() and (clock > 0.0).all()):
-            raise InputError.single(
-                "speeds or clocks that cannot be", allowed="numbers of 0 or more, one above 0 at least"
-            )
+            told = "speeds or clocks that cannot be"
+            raise InputError.single(told, allowed="numbers of 0 or more, one above 0 at least")
         if not 0.0 <= complexity < np.inf:
             raise InputError.single("a complexity that cannot be", got=complexity, allowed="0 or more")
         energy = self.energy_per_metre(speed, clock, complexity)

@@ -58,11 +58,8 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     # the whole plan is wanted, also of a mission that the real battery cannot finish
     result = simulate(mission, values={f"robot.{capacity.path}": capacity.value * 1e6})
     if any(segment.kind == "dock" for segment in result.segments):
-        raise InputError.single(
-            "on-line prediction covers missions without recharging",
-            got=result.mission,
-            allowed="a mission for each stretch from dock to dock, with its own initial_charge",
-        )
+        got, allowed = result.mission, "a mission for each stretch from dock to dock, with its own initial_charge"
+        raise InputError.single("on-line prediction covers missions without recharging", got=got, allowed=allowed)
     line = result.timeline
     energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
     distance = line.ways_m()

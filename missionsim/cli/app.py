@@ -76,9 +76,8 @@ def run_command(arguments: Sequence[str]) -> int:
         if word and not word.startswith("-") and word not in COMMANDS:
             raise InputError.unknown(f"there is no command '{word}'", word, COMMANDS)
         if "" in arguments:
-            raise InputError.single(
-                "an argument is empty", got=f"number {list(arguments).index('') + 1}", allowed="text"
-            )
+            told = "an argument is empty"
+            raise InputError.single(told, got=f"number {list(arguments).index('') + 1}", allowed="text")
         call = read_call(arguments)
         if call is None:
             return EXIT_INPUT
@@ -221,7 +220,7 @@ def spelled_out(words: Sequence[str]) -> list[str]:
     """
     found: list[str] = []
     formats = False
-    for word in words:
+    for word in (*words, "--"):
         if formats and not (word.startswith("-") or "." in word or "/" in word or Path(word).is_file()):
             found[-1:] = [f"--plot={word}"] if found[-1] == "--plot" else [found[-1], f"--plot={word}"]
             continue
@@ -232,6 +231,4 @@ def spelled_out(words: Sequence[str]) -> list[str]:
             found[-1] = "--json=-"
         else:
             found.append(word)
-    if formats and found[-1] == "--plot":
-        found[-1] = "--plot=png"
-    return found
+    return found[:-1]

@@ -129,10 +129,8 @@ def improve(
     """
     search.check(logs)
     if not yes and not sys.stdin.isatty():
-        raise InputError.single(
-            "improve asks before it adds an effect, and this is no terminal",
-            allowed="--yes to add every effect that was identified",
-        )
+        allowed = "--yes to add every effect that was identified"
+        raise InputError.single("improve asks before it adds an effect, and this is no terminal", allowed=allowed)
     for name in without or ():
         if not name.startswith("law_"):  # laws are not known before they are found
             check_name(load_robot(search.robot), name)

@@ -141,15 +141,13 @@ def _targets(logs: list[LogTable], out: Path) -> list[Path]:
     """One file a run: `out` itself for a single run, files in it for several or where it is a folder."""
     is_file = out.suffix in (".csv", ".parquet") and not out.is_dir()
     if is_file and len(logs) > 1:
-        raise InputError.single(
-            f"the source holds {len(logs)} runs, and --out is one file", got=str(out), allowed="a folder"
-        )
+        told = f"the source holds {len(logs)} runs, and --out is one file"
+        raise InputError.single(told, got=str(out), allowed="a folder")
     if is_file:
         return [out]
     if out.suffix and not out.is_dir():
-        raise InputError.single(
-            "a log is written as CSV or Parquet", got=str(out), allowed="LOG.parquet, LOG.csv or a folder"
-        )
+        allowed = "LOG.parquet, LOG.csv or a folder"
+        raise InputError.single("a log is written as CSV or Parquet", got=str(out), allowed=allowed)
     names: dict[str, int] = {}
     targets = []
     for log in logs:

@@ -209,20 +209,16 @@ def _executor(address: str | None) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError.single(
-            "--scheduler needs the extra 'dask'", got="no package 'distributed'", allowed=install_hint("dask")
-        ) from None
+        told = "--scheduler needs the extra 'dask'"
+        raise InputError.single(told, got="no package 'distributed'", allowed=install_hint("dask")) from None
     for name in [*logging.root.manager.loggerDict, "asyncio"]:
         if name.startswith(("distributed", "tornado", "asyncio")):  # what matters is told here
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=SCHEDULER_WAIT_S)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InputError.single(
-            f"no Dask scheduler answers at this address: {str(error)[:80]}",
-            got=address,
-            allowed="an address such as tcp://localhost:8786",
-        ) from error
+        told = f"no Dask scheduler answers at this address: {str(error)[:80]}"
+        raise InputError.single(told, got=address, allowed="an address such as tcp://localhost:8786") from error
     try:
         yield client
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -58,11 +59,8 @@ def whatif(
         Table as CSV (or Parquet, by its suffix): a row an alternative, battery and term.
     """
     if (vary is None) == (study is None):
-        raise InputError.single(
-            "whatif needs either --vary or --study",
-            got="both" if vary else "neither",
-            allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml",
-        )
+        told, allowed = "whatif needs either --vary or --study", "--vary defaults.speed=0.3,0.5, or --study STUDY.yaml"
+        raise InputError.single(told, got="both" if vary else "neither", allowed=allowed)
     base, robot = changes.pairs, changes.robot
     if study is not None:
         path, alternatives = from_study(study)
@@ -145,25 +143,14 @@ def split_values(text: str) -> list[str]:
     missionsim.errors.InputError
         Where a value is empty.
     """
-    values, depth, quote, current = [], 0, "", ""
-    for letter in text:
-        if quote:
-            quote = "" if letter == quote else quote
-        elif letter in "'\"":
-            quote = letter
-        elif letter in "[{(":
-            depth += 1
-        elif letter in "]})":
-            depth -= 1
-        if letter == "," and depth == 0 and not quote:
-            values.append(current.strip())
-            current = ""
-        else:
-            current += letter
-    values.append(current.strip())
-    if not all(values):
+    values: list[str] = []
+    for piece in text.split(","):
+        bare = re.sub(r"""'[^']*'|"[^"]*\"""", "", values[-1] if values else "")
+        still_open = sum(map(bare.count, "[{(")) > sum(map(bare.count, "]})")) or "'" in bare or '"' in bare
+        values[-1:] = [f"{values[-1]},{piece}"] if still_open else [*values[-1:], piece]
+    if not all(map(str.strip, values)):
         raise InputError.single("an empty value among those to vary", got=text, allowed="path=v1,v2")
-    return values
+    return [value.strip() for value in values]
 
 
 def show(found: WhatIf) -> None:

@@ -49,11 +49,8 @@ def read_graphml(root: Element, text: str, site: Site) -> None:
         reason = " ".join(str(problem).split())[:200] or type(problem).__name__
         raise InputError(Fault(site.file, root.line, 0, f"networkx cannot read this graph: {reason}")) from None
     lines = {node.attributes.get("id", ""): node.line for part in root.all("graph") for node in part.all("node")}
-    between = {
-        (edge.attributes.get("source", ""), edge.attributes.get("target", "")): edge.line
-        for part in root.all("graph")
-        for edge in part.all("edge")
-    }
+    ways = [(edge.attributes, edge.line) for part in root.all("graph") for edge in part.all("edge")]
+    between = {(given.get("source", ""), given.get("target", "")): line for given, line in ways}
     nodes = [Part((str(name),), data, lines.get(str(name), 0)) for name, data in graph.nodes(data=True)]
     edges = []
     for start, end, data in graph.edges(data=True):
@@ -107,11 +104,8 @@ def _fill(
         where = None if found is None else plane.to_metres(found[0], found[1]) if plane and found[2] else found[:2]
         title = next((clean(str(node.attributes[key])) for key in _TITLE if node.attributes.get(key)), "")
         title = "" if title == node.ends[0] else title
-        told = (
-            (key, value)
-            for key, value in node.attributes.items()
-            if says_charger(key, isinstance(value, str) and value)
-        )
+        pairs = node.attributes.items()
+        told = ((key, value) for key, value in pairs if says_charger(key, isinstance(value, str) and value))
         charger = next((not says_charger(key) or str(value).lower() not in _NO for key, value in told), False)
         names[node.ends[0]] = site.place(node.ends[0], where, _number(node, _HEIGHT), title=title, charger=charger)
         _left(node, _NODE_USED, "a node", site)

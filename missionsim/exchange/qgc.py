@@ -253,11 +253,8 @@ def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> 
     if origin is None:
         match = _ORIGIN.search(environment.notes)
         if match is None:
-            raise InputError.single(
-                "where the map lies on the earth is unknown",
-                file=str(environment.path),
-                allowed="--origin LATITUDE,LONGITUDE",
-            )
+            told = "where the map lies on the earth is unknown"
+            raise InputError.single(told, file=str(environment.path), allowed="--origin LATITUDE,LONGITUDE")
         origin = (float(match.group(1)), float(match.group(2)))
     plane = LocalPlane(*origin)
     points = {}

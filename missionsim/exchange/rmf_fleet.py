@@ -167,9 +167,8 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
     fleet = read_fleet(path)
     battery = battery or (robot.motion.battery if robot.motion else next(iter(robot.batteries)))
     if battery not in robot.batteries:
-        raise InputError.single(
-            f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
-        )
+        allowed = ", ".join(robot.batteries)
+        raise InputError.single(f"the robot has no battery '{battery}'", got=battery, allowed=allowed)
     remarks: list[str] = []
     new = dict(fleet.numbers)
     store = robot.batteries[battery]
@@ -227,9 +226,8 @@ def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list
     tables = read_logs(list(logs))
     for log in tables:
         if battery not in log.power_w or "speed_m_s" not in log.columns:
-            raise InputError.single(
-                f"the log has no speed, or no power of battery '{battery}'", file=log.source, got=", ".join(log.columns)
-            )
+            told = f"the log has no speed, or no power of battery '{battery}'"
+            raise InputError.single(told, file=log.source, got=", ".join(log.columns))
         speed = np.abs(log.number("speed_m_s"))
         rate = log.number("accel_m_s2") if "accel_m_s2" in log.columns else acceleration(speed, log.time_s)
         mass = fleet.numbers["mass"] + (log.number("payload_kg") if "payload_kg" in log.columns else 0.0)

@@ -35,9 +35,8 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
 
     environment = mission.environment
     if environment is None or not mission.start:
-        raise InputError.single(
-            "the mission has no map to drive on", file=str(mission.path), allowed="environment and start"
-        )
+        allowed = "environment and start"
+        raise InputError.single("the mission has no map to drive on", file=str(mission.path), allowed=allowed)
     told: dict[str, None] = {}
     stops = [Stop(mission.start)]
     passed = 0.0
@@ -55,11 +54,8 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
             if recharge is not None and recharge.until is None:
                 told["charging for a time is written as charging until full"] = None
         elif leg.edge is None:
-            raise InputError.single(
-                "the mission leaves the places of its map",
-                file=str(mission.path),
-                allowed="drives to places, along edges",
-            )
+            allowed = "drives to places, along edges"
+            raise InputError.single("the mission leaves the places of its map", file=str(mission.path), allowed=allowed)
         else:
             passed += leg.distance_m
             if abs(leg.edge.to_m - (environment.length_m(environment.edges[leg.edge.edge]) or 0.0)) > 1e-6:

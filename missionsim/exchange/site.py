@@ -258,17 +258,11 @@ class Site:
 
     def summary(self) -> dict[str, object]:
         """What was read, for ``--json``."""
-        return {
-            "schema": "missionsim.site/1",
-            "source": self.file,
-            **fields_of(self, "format name"),
-            "places": len(self.places),
-            "edges": len(self.edges),
-            "one_way": sum(not edge.get("both_ways", True) for edge in self.edges),
-            **fields_of(self, "length_m chargers"),
-            "segments": len(self.segments),
-            "told": [vars(remark) for remark in self.remarks.values()],
-        }
+        one_way = sum(not edge.get("both_ways", True) for edge in self.edges)
+        counts = {"places": len(self.places), "edges": len(self.edges), "one_way": one_way}
+        head = {"schema": "missionsim.site/1", "source": self.file, **fields_of(self, "format name"), **counts}
+        told = [vars(remark) for remark in self.remarks.values()]
+        return {**head, **fields_of(self, "length_m chargers"), "segments": len(self.segments), "told": told}
 
     def environment_text(self) -> str:
         """The environment file."""

@@ -277,9 +277,8 @@ def order_of(
     if version not in VERSIONS:
         raise InputError.single("a version that is not written", got=version, allowed=", ".join(VERSIONS))
     if timestamp and not _is_timestamp(timestamp):
-        raise InputError.single(
-            "a time stamp that an order cannot have", got=timestamp, allowed="ISO 8601 in UTC: 2026-01-01T00:00:00.000Z"
-        )
+        allowed = "ISO 8601 in UTC: 2026-01-01T00:00:00.000Z"
+        raise InputError.single("a time stamp that an order cannot have", got=timestamp, allowed=allowed)
     newer = version.startswith("3")
     stops, remarks = stops_of(mission)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"

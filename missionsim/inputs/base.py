@@ -89,9 +89,9 @@ class Model(BaseModel):
     @classmethod
     def _mapping(cls, raw: object) -> object:
         """Refuse what is no mapping, and keys that there are not."""
-        if isinstance(raw, Model):
-            return raw
         known = cls._keys()
+        if isinstance(raw, Model) or (isinstance(raw, dict) and raw.keys() <= known.keys()):
+            return raw
         allowed = ", ".join(key for key in known if key != "kind" or issubclass(cls, FileModel))
         if not isinstance(raw, dict):
             raise wrong("must be a mapping", as_written(raw), f"a mapping with {allowed}")
@@ -101,9 +101,7 @@ class Model(BaseModel):
             hint = spelled if spelled in known else did_you_mean(key, known)
             fault = {"message": f"unknown key '{key}'", "got": key, "allowed": allowed, "hint": hint, "at": (key,)}
             entries.append(fault)
-        if entries:
-            raise told(entries)
-        return raw
+        raise told(entries)
 
     @classmethod
     @functools.cache

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
 
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
@@ -75,23 +76,21 @@ def _components(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
             check.known((*where, "relay"), component.relay, boards, "switchboard")
         for index, other in enumerate(component.requires):
             check.known((*where, "requires", index), other, components, "component")
-    # requirements that lead back to their component
-    trail: list[str] = []
-    done: set[str] = set()
-    waiting: list[Iterator[tuple[int, str]]] = [iter(enumerate(robot.components))]
-    while waiting:
-        index, name = next(waiting[-1], (0, ""))
-        if not name:
-            waiting.pop()
-            done |= {trail.pop()} if trail else set()
-        elif name in trail:
-            circle = " → ".join([*trail[trail.index(name) :], name])
-            message = "components require each other in a circle"
-            at = ("components", trail[-1], "requires", index)
-            check.add(at, message, circle, "requirements without a circle")
-        elif name in robot.components and name not in done:
-            trail.append(name)
-            waiting.append(iter(enumerate(robot.components[name].requires)))
+    needs = {name: list(component.requires) for name, component in robot.components.items()}
+    while circle := _circle(needs):
+        at = ("components", circle[-2], "requires", robot.components[circle[-2]].requires.index(circle[-1]))
+        message = "components require each other in a circle"
+        check.add(at, message, " → ".join(circle), "requirements without a circle")
+        needs[circle[-2]].remove(circle[-1])
+
+
+def _circle(needs: Mapping[str, list[str]]) -> list[str]:
+    """Names of which each needs the next, back to the first; empty where no needs lead back."""
+    try:
+        TopologicalSorter(needs).prepare()
+    except CycleError as error:
+        return list(error.args[1][::-1])
+    return []
 
 
 def _scheme(check: Checker, robot: RobotSpec, where: Where, scheme: SchemeSpec) -> None:

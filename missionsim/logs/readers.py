@@ -105,9 +105,8 @@ def registry() -> dict[str, Reader]:
     for point in entry_points(group=ENTRY_POINTS):
         reader = point.load()
         if not isinstance(reader, Reader):
-            raise InputError.single(
-                f"the entry point {point.name} of {ENTRY_POINTS} is no Reader", got=point.value, allowed="a Reader"
-            )
+            told = f"the entry point {point.name} of {ENTRY_POINTS} is no Reader"
+            raise InputError.single(told, got=point.value, allowed="a Reader")
         found[reader.name] = reader
     return found
 

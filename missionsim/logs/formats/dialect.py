@@ -326,12 +326,6 @@ def has_cut_end(path: Path, dialect: Dialect) -> bool:
 
 def field_position(line: str, delimiter: str, index: int) -> int:
     """1-based character position of a field in its line, quotes respected."""
-    quoted, fields = False, 0
-    for position, mark in enumerate(line):
-        if fields == index:
-            return position + 1
-        if mark == '"':
-            quoted = not quoted
-        elif mark == delimiter and not quoted:
-            fields += 1
-    return len(line) + 1 if fields <= index else 1
+    marks = re.finditer(rf'"[^"]*"|{re.escape(delimiter)}', line)
+    starts = [0, *(mark.end() for mark in marks if mark[0] == delimiter), *[len(line)] * index]
+    return starts[index] + 1

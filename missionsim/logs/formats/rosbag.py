@@ -156,15 +156,15 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
     """(topic, [(field, value)]) of a message; each status of a diagnostic message is a topic of its own."""
     statuses = getattr(message, "status", None)
     if isinstance(statuses, list) and statuses and hasattr(statuses[0], "values"):
-        return [
-            (
-                f"{topic}[{status.name}]",
-                [("level", float(status.level[0] if isinstance(status.level, (bytes, bytearray)) else status.level))]
-                + [(item.key, item.value) for item in status.values if item.key],
-            )
-            for status in statuses
-            if wanted is None or any(field.startswith(f"{topic}[{status.name}].") for field in wanted)
-        ]
+        told = []
+        for status in statuses:
+            name, level = f"{topic}[{status.name}]", status.level
+            if wanted is None or any(field.startswith(f"{name}.") for field in wanted):
+                number = float(level[0] if isinstance(level, (bytes, bytearray)) else level)
+                told.append(
+                    (name, [("level", number), *((item.key, item.value) for item in status.values if item.key)])
+                )
+        return told
     state = [("state", message.goal_state.label)] if hasattr(message, "goal_state") else []
     if wanted is None:
         return [(topic, [*state, *_leaves(message)])]
