@@ -20,7 +20,7 @@ class _CapacityOf(QuantityOf):
     def _number(self, raw: Any, unit: str = "") -> tuple[float, str]:
         if isinstance(raw, str) and (parts := units.split(raw)) and parts[1]:
             with contextlib.suppress(units.UnitError):
-                value = units.parse_quantity(raw, "charge")
+                value, _ = units.parse(raw, "charge")
                 if value <= 0:
                     raise wrong("impossible value", f"'{raw}'", "more than 0")
                 return value, "C"

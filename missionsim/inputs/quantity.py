@@ -132,14 +132,12 @@ class QuantityOf:
         try:
             if isinstance(raw, str) and self.percent_slope and raw.rstrip().endswith("%") and (p := units.split(raw)):
                 return math.atan(p[0] / 100), "rad"
-            if self.dimension and isinstance(raw, str):
-                value, unit = units.parse_quantity(raw, self.dimension), units.DIMENSIONS[self.dimension].si
+            if isinstance(raw, str):
+                value, given = units.parse(raw, self.dimension)
+                unit = given or unit
             elif self.dimension:
                 dimension = units.DIMENSIONS[self.dimension]
                 value, unit = dimension.plain_to_si(float(raw)), dimension.si
-            elif isinstance(raw, str):
-                value, given = units.parse_any(raw)
-                unit = given or unit
             else:
                 factor, unit = units.any_unit(unit) if unit else (1.0, "")
                 value = float(raw) * factor

@@ -91,23 +91,26 @@ def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
     return one - zero, zero
 
 
-def parse_quantity(text: str, dimension: str) -> float:
-    """Text with a unit to an SI float.
+def parse(text: str, dimension: str = "") -> tuple[float, str]:
+    """Text with a unit to a number in SI, and the SI unit's name.
 
-    `text`: ``"14.8 V"``; without a unit the number is in the field's plain unit. `dimension`: key of `DIMENSIONS`.
-    The result is in `DIMENSIONS[dimension].si`. Raises UnitError: not a number with a unit of that dimension.
+    `text`: ``"14.8 V"``; without a unit the number is in the field's plain unit. `dimension`: key of `DIMENSIONS`; any
+    unit without it (parameters of effects). Raises UnitError: not a number with a unit of that dimension.
     """
-    parts = split(text)
+    of, parts = DIMENSIONS.get(dimension), split(text)
     if parts is None:
-        raise UnitError("not a number with a unit", repr(text)[:60], str(DIMENSIONS[dimension]))
+        raise UnitError("not a number with a unit", repr(text)[:60], str(of or "a number, with a unit or without"))
     number, unit = parts
-    if unit == "":
-        return DIMENSIONS[dimension].plain_to_si(number)
+    if of is None:
+        factor, si = any_unit(unit) if unit else (1.0, "")
+        return number * factor, si
+    if not unit:
+        return of.plain_to_si(number), of.si
     try:
         factor, offset = unit_factor(unit, dimension)
     except UnitError as problem:
         raise UnitError(problem.message, text[:60], problem.allowed, problem.hint) from None
-    return number * factor + offset
+    return number * factor + offset, of.si
 
 
 def si_factor(unit: str) -> float | None:
@@ -118,16 +121,6 @@ def si_factor(unit: str) -> float | None:
         return None if _exponents(unit) == _exponents("K") else any_unit(unit)[0]
     except UnitError:
         return None
-
-
-def parse_any(text: str) -> tuple[float, str]:
-    """Text with any unit to a number in coherent SI units and the unit's name (for parameters of effects). Raises
-    UnitError: not a number, or an unknown unit."""
-    parts = split(text)
-    if parts is None:
-        raise UnitError("not a number with a unit", repr(text)[:60], "a number, with a unit or without")
-    factor, si = any_unit(parts[1]) if parts[1] else (1.0, "")
-    return parts[0] * factor, si
 
 
 def any_unit(unit: str) -> tuple[float, str]:

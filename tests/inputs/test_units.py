@@ -23,7 +23,7 @@ from missionsim.inputs import units
     ],
 )  # fmt: skip
 def test_quantities(text: str, dimension: str, value: float) -> None:
-    assert units.parse_quantity(text, dimension) == pytest.approx(value, rel=1e-12)
+    assert units.parse(text, dimension)[0] == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_quantities(text: str, dimension: str, value: float) -> None:
 )
 def test_wrong_units(text: str, dimension: str, message: str, hint: str) -> None:
     with pytest.raises(units.UnitError) as caught:
-        units.parse_quantity(text, dimension)
+        units.parse(text, dimension)[0]
     assert (caught.value.message, caught.value.hint) == (message, hint)
     assert caught.value.allowed == str(units.DIMENSIONS[dimension])
 
@@ -61,12 +61,12 @@ def test_wrong_units(text: str, dimension: str, message: str, hint: str) -> None
     ],
 )
 def test_any_unit(text: str, value: float, unit: str) -> None:
-    assert units.parse_any(text) == (pytest.approx(value, rel=1e-12), unit)
+    assert units.parse(text) == (pytest.approx(value, rel=1e-12), unit)
 
 
 def test_any_unit_converts_to_coherent_si() -> None:
-    assert units.parse_any("3 Wh/km")[0] == pytest.approx(10.8, rel=1e-12)
-    assert units.parse_any("2 mW s/kg")[0] == pytest.approx(0.002, rel=1e-12)
+    assert units.parse("3 Wh/km")[0] == pytest.approx(10.8, rel=1e-12)
+    assert units.parse("2 mW s/kg")[0] == pytest.approx(0.002, rel=1e-12)
 
 
 def test_table_agrees_with_pint() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
-from missionsim.logs.raw import Remark
+from missionsim.logs.raw import Remark, number_of
 from missionsim.logs.times import is_stamp
 
 MISSING_WORDS = (
@@ -29,12 +29,8 @@ _UNITS = {
 
 
 def is_number(word: str) -> bool:
-    """Whether a text is a number: what `float` reads, but ``1_000`` and digits of other scripts."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return word.isascii() and "_" not in word
+    """Whether a text is a number, see `number_of`; ``nan`` is none."""
+    return (number := number_of(word)) == number
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
