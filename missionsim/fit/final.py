@@ -118,7 +118,7 @@ def _fit(
     keep_base: bool,
 ) -> tuple[FinalFit, _System | None]:
     """The fit to means over one period, and its rows."""
-    battery, linear = ready.battery, False
+    battery = ready.battery
     added = {t.name_of(n) for t in model.of(battery) if not t.base for n in t.parameters}
     shapes = {
         t.name_of(s.name) for t in model.of(battery) if not t.base for s in t.effect.shape if s.name in t.parameters
@@ -130,29 +130,26 @@ def _fit(
     nought: dict[str, Value] = {}
     whole: _System | None = None
     for round_ in range(ROUNDS):
-        if not linear:
-            whole = _System.of(ready, clock, settings) if whole is None else whole.at(ready, settings)
-            names = [
-                n for n in whole.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)
-            ]
-            # columns that are multiples of another's, which is less well known and takes their part
-            unit = {n: x / max(float(np.linalg.norm(x)), 1e-300) for n, x in zip(whole.names, whole.x.T, strict=True)}
-            order = sorted((n for n in names if n not in added), key=lambda name: -prior_sd.get(name, 0.0))
-            alike: dict[str, str] = {}
-            for i, name in enumerate(order):
-                known = (o for o in order[:i] if o not in alike)
-                if twin := next((o for o in known if abs(float(unit[name] @ unit[o])) > 1.0 - ALIKE), None):
-                    alike[name] = twin
-            names = [n for n in names if n not in alike]
-            if not names:
-                return FinalFit(model, {}), None
-            now = {n: p.value for n, p in ready.parameters.items()}
-            # columns per relative change from the start, so that the prior stays where it was
-            at, scale = [whole.names.index(n) for n in names], [start[n] / now[n] for n in names]
-            system = replace(whole, names=names, x=whole.x[:, at] * scale, energy_x=whole.energy_x[at] * scale)
-            done = np.array([now[n] / start[n] - 1.0 for n in names])
-            sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
-            ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
+        whole = _System.of(ready, clock, settings) if whole is None else whole.at(ready, settings)
+        names = [n for n in whole.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)]
+        # columns that are multiples of another's, which is less well known and takes their part
+        unit = {n: x / max(float(np.linalg.norm(x)), 1e-300) for n, x in zip(whole.names, whole.x.T, strict=True)}
+        order = sorted((n for n in names if n not in added), key=lambda name: -prior_sd.get(name, 0.0))
+        alike: dict[str, str] = {}
+        for i, name in enumerate(order):
+            known = (o for o in order[:i] if o not in alike)
+            if twin := next((o for o in known if abs(float(unit[name] @ unit[o])) > 1.0 - ALIKE), None):
+                alike[name] = twin
+        names = [n for n in names if n not in alike]
+        if not names:
+            return FinalFit(model, {}), None
+        now = {n: p.value for n, p in ready.parameters.items()}
+        # columns per relative change from the start, so that the prior stays where it was
+        at, scale = [whole.names.index(n) for n in names], [start[n] / now[n] for n in names]
+        system = replace(whole, names=names, x=whole.x[:, at] * scale, energy_x=whole.energy_x[at] * scale)
+        done = np.array([now[n] / start[n] - 1.0 for n in names])
+        sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
+        ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
         shift, cov = _solve(system, done, sd, ends, energy=not keep_base)
         values = {n: start[n] * (1.0 + float(s)) for n, s in zip(names, shift, strict=True)}
         # rounding must not take what lies at its bound beyond it
@@ -165,16 +162,7 @@ def _fit(
         nought |= {n: value for n, value in told.items() if value.value == 0.0}
         if np.all(np.abs(shift - done) < STILL) or round_ == ROUNDS - 1:
             break
-        powers = ready.powers(model)
-        # whether gradients alone give the power of the model with other values
-        steps, linear = {n: value / ready.parameters[n].value - 1.0 for n, value in values.items()}, True
-        for base_w, slopes, power in zip(ready.base_w, ready.gradients, powers, strict=True):
-            foretold = base_w + sum((slopes[n] * step for n, step in steps.items()), start=np.zeros(len(base_w)))
-            linear = linear and np.allclose(power, foretold, rtol=STILL, atol=0.0, equal_nan=True)
-        if linear:
-            system, done = system.moved(powers), shift
-        else:
-            ready = ready.at(model)
+        ready = ready.at(model)
     return FinalFit(model, nought | told, alike), system
 
 
@@ -257,13 +245,6 @@ class _System:
             shift = np.linalg.lstsq(weighed[kept].T @ self.x[kept], weighed[kept].T @ self.y[kept], rcond=1e-9)[0]
             square += float(raw.seconds[out] @ (raw.y[out] - raw.x[out] @ shift) ** 2)
         return square / float(raw.seconds.sum())
-
-    def moved(self, powers: Sequence[Array]) -> _System:
-        """The rows at other values of the parameters in a linear model, from its power in each run."""
-        raw = [np.where(np.isfinite(power), power, 0.0)[None, :] for power in powers]
-        base_w = self.source.averaged([raw[i] for i in self.source.kept], self.clock)[0]
-        energy = [_energy(run, power[0]) for run, power in zip(self.runs, raw, strict=True)]
-        return replace(self, y=self.measured_w - base_w, energy_y=float(sum(energy)))
 
 
 def _energies(runs: Sequence[RunData], names: Sequence[str]) -> tuple[Array, float]:

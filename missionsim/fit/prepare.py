@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,6 @@ from missionsim.runs.drive import Driven, assume, drive_blocks, filled
 from missionsim.runs.run import Run
 
 MOST_TEXTS = 12
-FEW_ROWS = 5000
-"""Rows of a run below which to evaluate it costs more than its rows."""
 FAINT_LOAD = 0.01
 """Part of the mean power below which it does not matter when a component was on."""
 
@@ -148,34 +145,13 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
 
 
 def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
-    """``∂P/∂ln θ`` of each run; short runs that drive the same terms with the same columns are evaluated as one."""
-    first = runs[0]
-    kinds = {name: isinstance(value, Labels) for name, value in first.covariates.items()}
-    alike = all(
-        one.model.terms == first.model.terms
-        and kinds == {name: isinstance(value, Labels) for name, value in one.covariates.items()}
-        for one in runs
-    )
-    few = len(runs) > 1 and sum(len(run.time_s) for run in runs) < FEW_ROWS * len(runs)
-    if not (few and alike):
-        gradients = [run.gradient(battery) for run in runs]
-        # a term that one run cannot drive has no power there
-        every = dict.fromkeys(name for slopes in gradients for name in slopes)
-        return [
-            {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
-            for run, slopes in zip(runs, gradients, strict=True)
-        ]
-    whole: dict[str, Any] = {}
-    for name in first.covariates:
-        values = [run.covariates[name] for run in runs]
-        if kinds[name]:
-            whole[name] = Labels.joined(values)
-        else:
-            rows = zip(values, runs, strict=True)
-            whole[name] = np.concatenate([np.broadcast_to(np.asarray(v), run.time_s.shape) for v, run in rows])
-    ends = np.cumsum([len(run.time_s) for run in runs])[:-1]
-    split = {name: np.split(slope, ends) for name, slope in first.model.gradient(whole, battery).items()}
-    return [{name: parts[i] for name, parts in split.items()} for i in range(len(runs))]
+    """``∂P/∂ln θ`` of each run; a term that one run cannot drive has no power there."""
+    gradients = [run.gradient(battery) for run in runs]
+    every = dict.fromkeys(name for slopes in gradients for name in slopes)
+    return [
+        {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
+        for run, slopes in zip(runs, gradients, strict=True)
+    ]
 
 
 def _switched_w(model: PowerModel, battery: str, switches: set[str]) -> dict[str, float]:

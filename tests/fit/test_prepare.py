@@ -1,13 +1,12 @@
-"""What a fit reads of its runs: short ones are evaluated as one, each with its own floors and its own memory."""
+"""What a fit reads of its runs, each with its own floors and columns."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from missionsim.compare import compare
-from missionsim.fit import prepare as prepared
 from missionsim.fit.calibrate import NewRobot, calibrate_new
+from missionsim.fit.prepare import prepare
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.power import build_power_model
 from tests.diagnose.logs import drive
@@ -25,19 +24,13 @@ effects:
 """
 
 
-def test_short_runs_are_evaluated_as_one_with_the_same_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_floor_that_a_run_does_not_have_has_no_power_there() -> None:
     floors = ["mud", "ice", "stone"]
     runs = [drive(i, seconds=100.0 + 20 * i, surface=[floor] * (100 + 20 * i)) for i, floor in enumerate(floors)]
     made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="9 kg"), runs)
-    model = build_power_model(robot_from_text(made.text + EFFECTS))
-    together = prepared.prepare(model, runs, "robot").gradients
-    monkeypatch.setattr(prepared, "FEW_ROWS", 0)
-    each = prepared.prepare(model, runs, "robot").gradients
-    for one, other in zip(together, each, strict=True):
-        assert one.keys() == other.keys() >= {"floor.k_ice", "floor.k_mud", "warm.k"}
-        for name, slope in other.items():
-            np.testing.assert_allclose(one[name], slope, atol=1e-9)
-    assert [bool(np.any(one["floor.k_ice"])) for one in together] == [False, True, False]
+    each = prepare(build_power_model(robot_from_text(made.text + EFFECTS)), runs, "robot").gradients
+    assert all(one.keys() >= {"floor.k_ice", "floor.k_mud", "warm.k"} for one in each)
+    assert [bool(np.any(one["floor.k_ice"])) for one in each] == [False, True, False]
 
 
 def test_a_column_that_is_text_in_one_run_and_a_number_in_others_is_left_out() -> None:
