@@ -297,8 +297,7 @@ def add_effect(
         terminal = console()
         found = words.parameters_told(made.effect)
         terminal.print(
-            f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {found}; "
-            f"p = {made.effect.p_value:.1g}"
+            f"{effect} on battery {chosen}: {words.share_told(made.effect)}; {found}; p = {made.effect.p_value:.1g}"
         )
         if not made.significant:
             terminal.print(f"forced: {made.reason}")

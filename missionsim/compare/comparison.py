@@ -75,6 +75,12 @@ class BatteryComparison(RunError):
         return Errors(self.runs).run_energy_error_pct
 
     @property
+    def worst_first(self) -> list[RunComparison]:
+        """The runs by the magnitude of their energy error, those that measured none last."""
+        off = {run.run: abs(run.energy_error_pct) for run in self.runs}
+        return sorted(self.runs, key=lambda run: -off[run.run] if math.isfinite(off[run.run]) else math.inf)
+
+    @property
     def by_component_wh(self) -> dict[str, float]:
         """Modelled energy by component, largest first [Wh]."""
         return self._by("{0.component}")
@@ -110,15 +116,14 @@ class BatteryComparison(RunError):
     def words(self) -> list[str]:
         """The verdict in sentences."""
         error = self.energy_error_pct
-        off, bias = watts(self.power_rmse_w), watts(self.power_bias_w, sign=True)
+        off, bias = watts(self.power_rmse_w), watts(self.shown_bias_w, sign=True)
         power = f"its power is off by {off} (root mean square), {bias} on average."
         if math.isfinite(error) and self.energy_measured_wh > 0.0:
             way = "more" if error > 0.0 else "less"
             count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
-            first = (
-                f"Over {count} the model gives {abs(error):.1f} % {way} energy than was measured on battery "
-                f"{self.battery}; {power}"
-            )
+            gives = f"{abs(error):.1f} % {way} energy than was" if abs(error) >= 0.05 else "the energy that was"
+            each = f" (a single run is off by {self.run_energy_error_pct:.1f} %)" if len(self.runs) > 1 else ""
+            first = f"Over {count} the model gives {gives} measured on battery {self.battery}{each}; {power}"
             if factor := thousandfold(self.energy_measured_wh, self.energy_model_wh):
                 first += f" Measured is about {factor} of modelled: is the meter's unit the watt?"
         elif math.isfinite(error):

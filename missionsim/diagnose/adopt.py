@@ -15,7 +15,7 @@ from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
 from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, ranges_of
-from missionsim.identify.findings import Finding, HeldOut
+from missionsim.identify.findings import AT_BOUND, Estimate, Finding, HeldOut
 from missionsim.identify.identification import fit_effects
 from missionsim.identify.settings import Settings
 from missionsim.physics.lag import Meter
@@ -58,6 +58,7 @@ class Adopted:
             "reason": self.reason,
             "parameters": {name: estimate.to_json() for name, estimate in self.effect.parameters.items()},
             "energy_share": self.effect.energy_share,
+            "energy_share_given_back": self.effect.back,
             "p_value": self.effect.p_value,
             "indistinguishable_from": list(self.rivals),
             "heldout": self.heldout and self.heldout.to_json(),
@@ -201,6 +202,7 @@ def write(
                 "status": "fitted",
                 "source": CALIBRATION,
             }
+            | _noted(p)
             for name, p in one.parameters.items()
         }
         origin: dict[str, Any] = {
@@ -208,7 +210,7 @@ def write(
             "date": dt.datetime.now(dt.UTC).date().isoformat(),
             "p_value": one.p_value,
             "energy_share": one.energy_share,
-        }
+        } | ({"energy_share_given_back": one.back} if one.back else {})
         if one.indistinguishable_from:
             origin["cannot_be_told_from"] = list(one.indistinguishable_from)
         if not significant:
@@ -221,6 +223,13 @@ def write(
     editing.set_meter(models.battery, fitted.model.meter(models.battery))
     # which runs, and what they covered, stands once in a file: its base was fitted to them too
     return editing.set_source(CALIBRATION, fitted_source(split.train), ranges_of(split.train, robot.origin)).text, base
+
+
+def _noted(told: Estimate) -> dict[str, str]:
+    """What the number of a parameter does not say by itself: that it was chosen, or came out at nothing."""
+    if told.low == told.high:
+        return {"note": "chosen, not fitted"}
+    return {"note": "none, its least"} if 0.0 <= told.value <= AT_BOUND * (told.high - told.low) else {}
 
 
 def _supported(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from contextlib import suppress
 
 from missionsim.diagnose import sentences
@@ -10,14 +11,13 @@ from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.waterfall import unseen_note
 from missionsim.effects.library import get_effect
 from missionsim.errors import InputError
-from missionsim.identify.findings import BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
+from missionsim.identify.findings import AT_BOUND, BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.numerals import bare, meter_clock, rounded, watts
 
 MOST_NOT_SEEN = 8
-AT_BOUND, INF = 1e-6, math.inf
-"""Distance from a bound, in parts of its interval, within which a parameter lies at it."""
+INF = math.inf
 BLIND_SHARE = 0.5
 """Detection limits from here on mean that the data say nothing of an effect."""
 
@@ -130,11 +130,12 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
 
 
 def untestable(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
-    """What the logs lack, and the effects that they cannot test for it."""
+    """What the logs lack, and the effects that they cannot test for it; each under what most of them lack."""
+    lacking = Counter(column for needs in battery.untestable.values() for column in needs)
     without: dict[str, list[str]] = {}
     for name, needs in battery.untestable.items():
-        first, *more = needs or ("other values",)
-        without.setdefault(first, []).append(f"{name} (and {', '.join(more)})" if more else name)
+        column, *more = sorted(needs, key=lambda one: -lacking[one])
+        without.setdefault(column, []).append(f"{name} (and {', '.join(more)})" if more else name)
     return [(column, ", ".join(names)) for column, names in without.items()]
 
 
@@ -161,18 +162,22 @@ def _estimate(name: str, e: Estimate, least: float = -INF, most: float = INF) ->
     return f"{name} = {bare(e.value)}{_unit(e.unit)} (95 % {bare(low)} to {bare(high)})"
 
 
-def found_line(effect: Finding) -> str:
-    """An effect that was found: share of energy with interval, parameters, level."""
+def share_told(effect: Finding) -> str:
+    """Share of the energy with its interval, net of what comes back."""
+    taken = f"{_percent(effect.energy_share)} %"
     interval = ""
     if math.isfinite(effect.share_low):
         interval = f" (95 % {_percent(effect.share_low)} to {_percent(effect.share_high)})"
+    if not effect.back:
+        return f"{taken} of energy{interval}"
+    return f"{_percent(effect.net)} % of energy: {taken}{interval} taken, {_percent(effect.back)} % given back"
+
+
+def found_line(effect: Finding) -> str:
+    """An effect that was found: share of energy with interval, parameters, level."""
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
-    share = f"{_percent(effect.energy_share)} % of energy{interval}"
-    if effect.back:
-        share = f"{_percent(effect.net)} % of energy: {_percent(effect.energy_share)} %{interval} taken, "
-        share += f"{_percent(effect.back)} % given back"
     return (
-        f"{effect.effect}: {share}; {parameters_told(effect)}; "
+        f"{effect.effect}: {share_told(effect)}; {parameters_told(effect)}; "
         f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
     )
 

@@ -45,6 +45,10 @@ class Unexplained(Record):
 SCHEMA = "missionsim.diagnosis/1"
 
 
+AT_BOUND = 1e-6
+"""Distance of a parameter from a bound, in parts of its interval, within which it lies at it."""
+
+
 @dataclass(frozen=True)
 class Estimate(Record):
     """A coefficient or shape parameter with its 95 % interval, systematic allowance included."""

@@ -174,17 +174,17 @@ def dependences(model: Model) -> list[Structure]:
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
             if name not in out or out[name].gain_nats < gain:
-                shape = _words(name, times, knots, values, size)
+                shape = _words(name, times, knots, values, 2.0 * gain / len(fitted))
                 out[name] = Structure(name, p_value * len(tests), gain, size, shape, times)
             break
     return sorted(out.values(), key=lambda s: -s.gain_nats)
 
 
-def _words(name: str, times: str, knots: Array, values: Array, size: float) -> str:
-    """What is said of a curve with values at the knots beyond the first, which is its reference. `size`: in mean
-    powers."""
+def _words(name: str, times: str, knots: Array, values: Array, share: float) -> str:
+    """What is said of a curve with values at the knots beyond the first, which is its reference. `share`: of the
+    variance of the whitened residual."""
     what = f"residual varies with {plain(name)}" + (f" (times {plain(times)})" if times else "")
-    what += f" by {100 * size:.1f} % of the power"
+    what += f" ({100 * share:.1f} % of its variance)"
     if len(values) != len(knots) - 1 or known(name).text:
         return what
     curve = np.append(0.0, values)
@@ -293,7 +293,9 @@ def wrong_form(model: Model, column: int) -> Structure | None:
     if own >= (GROSS if known(covariate).noisy_form else ratio) * free:
         return None
     size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-    words = f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values, size)})"
+    words = (
+        f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values, 2.0 * beyond / rows.shape[1])})"
+    )
     return Structure(covariate, p_value, beyond, size, words)
 
 

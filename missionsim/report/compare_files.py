@@ -41,7 +41,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
         row = [one.battery, in_wh(one.energy_measured_wh), in_wh(one.energy_model_wh)]
         row += [signed(one.energy_error_pct, 2), _plain(one.run_energy_error_pct), rounded(one.power_rmse_w)]
         over = map(_plain, (found.peak_pct, found.mean_pct))
-        rows.append([*row, rounded(one.power_bias_w, 3, sign=True), *over])
+        rows.append([*row, rounded(one.shown_bias_w, sign=True), *over])
     console.print(simple_table(title, [*columns, ">peak %", ">mean %"], rows))
     notes = [
         "error: model minus measured, of all runs as one; by run: mean over runs of its magnitude, as diagnose and "
@@ -89,13 +89,11 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
         columns = ["scheme", ">way ×", ">speed ×", ">dwell s", ">way Wh", ">speed Wh", ">stand Wh", ">rest Wh"]
         console.print(simple_table("Behaviour against the plan", columns, rows))
     if len(one.runs) > 1:
-        worst = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))
-        shown, rest = worst[:RUN_ROWS], worst[RUN_ROWS:]
+        shown, rest = one.worst_first[:RUN_ROWS], one.worst_first[RUN_ROWS:]
         rows = [_run_row(run.run, run, signed(run.energy_error_pct, 2)) for run in shown]
         if rest:
-            off = [run.energy_error_pct for run in rest]
-            span = f"{signed(min(off), 2)} … {signed(max(off), 2)}"
-            rows.append(_run_row(f"the other {len(rest)}", Errors(tuple(rest)).total, span))
+            most = _plain(abs(rest[0].energy_error_pct))
+            rows.append(_run_row(f"the other {len(rest)}", Errors(tuple(rest)).total, f"≤ {most}"))
         columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
         console.print(simple_table(f"Runs, the worst first, battery {one.battery}", columns, rows))
 

@@ -74,7 +74,7 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Blo
         ("Energy error", f"{signed(error, 2)} %", "model minus measured, all runs as one"),
         ("Energy error by run", f"{one.run_energy_error_pct:.2f} %", "mean over runs of its magnitude"),
         ("Power error", watts(one.power_rmse_w), "root mean square"),
-        ("Bias", f"{signed(one.power_bias_w)} W", "mean of model minus measured"),
+        ("Bias", f"{signed(one.shown_bias_w)} W", "mean of model minus measured"),
     ]
     if gap["behaviour"] is not None:
         tiles.append(("Behaviour's part", f"{signed(gap['behaviour'], 4)} Wh", "replayed minus simulated"))
@@ -269,9 +269,9 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
 
 def _runs(one: BatteryComparison) -> list[web.Block]:
     rows = []
-    for run in sorted(one.runs, key=lambda run: -abs(run.energy_error_pct)):
+    for run in one.worst_first:
         row = [run.run, run.seconds, in_wh(run.energy_measured_wh), in_wh(run.energy_model_wh)]
-        rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w), signed(run.power_bias_w)])
+        rows.append([*row, signed(run.energy_error_pct, 2), rounded(run.power_rmse_w), signed(run.shown_bias_w)])
     total = sum(one.by_component_wh.values()) or 1.0
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]
     terms = [[name, energy] for name, energy in one.by_term_wh.items()]

@@ -60,12 +60,8 @@ def _result(battery: BatteryDiagnosis, asked: Asked | None, several: bool) -> li
     cards = []
     command = "" if asked is None else sentences.next_step(battery, asked, several)
     if battery.effects:
-        effect = battery.effects[0]
-        interval = f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
-        told = interval if math.isfinite(effect.share_low) else ""
-        if effect.back:
-            told = f"{100 * effect.energy_share:.1f} % taken ({told}), {100 * effect.back:.1f} % given back"
-        cards.append(("How much", f"{100 * effect.net:.1f} % of the energy", told))
+        size, _, more = words.share_told(battery.effects[0]).partition(" of energy")
+        cards.append(("How much", f"{size} of the energy", more.strip(" :()")))
     elif battery.proposed_laws:
         share, half = 100 * battery.proposed_laws[0].energy_share, 196 * battery.proposed_laws[0].share_sd
         cards.append(("How much", f"{share:.1f} % of the energy", f"95 %: {share - half:.1f} to {share + half:.1f} %"))

@@ -72,6 +72,11 @@ class RunError:
         """Mean of model minus measured power [W]."""
         return (self.model_j - self.measured_j) / self.seconds
 
+    @property
+    def shown_bias_w(self) -> float:
+        """The same for tables and words, in which a thousandth of the error is none [W]."""
+        return self.power_bias_w if abs(self.power_bias_w) > 1e-3 * self.power_rmse_w else 0.0
+
 
 @dataclass(frozen=True)
 class Errors:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from missionsim.compare import Where
-from missionsim.diagnose import sentences, words
+from missionsim.diagnose import adopt, sentences, words
 from missionsim.files import to_json
 from missionsim.identify.findings import (
     BatteryDiagnosis,
@@ -117,7 +117,7 @@ def test_found() -> None:
 
 
 def test_what_cannot_be_tested_stands_by_the_column_that_is_missing() -> None:
-    needs = {"cpu_load": ("cpu_load",), "grade": ("slope_rad",), "cpu_frequency": ("cpu_load", "cpu_freq_hz")}
+    needs = {"cpu_load": ("cpu_load",), "grade": ("slope_rad",), "cpu_frequency": ("cpu_freq_hz", "cpu_load")}
     lines = [line for heading, line in words.report(replace(BATTERY, untestable=needs)) if heading == "UNTESTABLE"]
     assert lines == ["without cpu_load: cpu_load, cpu_frequency (and cpu_freq_hz)", "without slope_rad: grade"]
 
@@ -129,6 +129,8 @@ def test_a_parameter_at_its_bound_or_without_a_width_is_told_in_words() -> None:
     back = {"regeneration": Estimate(0.81, 0.42, 1.2), "relief": Estimate(1.0, 1.0, 1.0)}
     braking = replace(found, effect="grade", parameters=back)
     assert words.parameters_told(braking) == "regeneration = 0.81 (95 % 0.42 to 1), relief = 1 (chosen, not fitted)"
+    notes = [adopt._noted(estimate).get("note") for estimate in (floors["k_ice"], floors["k_snow"], back["relief"])]
+    assert notes == ["none, its least", None, "chosen, not fitted"]  # of the file that has it
     full = replace(braking, parameters={"regeneration": Estimate(1.0, 0.9, 1.1)})
     assert words.parameters_told(full) == "regeneration = 1, its most (95 % down to 0.9)"
 
