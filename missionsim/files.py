@@ -50,7 +50,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, str(temporary), str(final)):
             raise
-        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+        # Arrow tells the number in words of its own
+        raise OSError(error.errno, os.strerror(error.errno) if error.errno else str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,16 +66,11 @@ class BlockStore:
             else:
                 arrays[name] = pa.array(values.tolist() if values.dtype == object else values)
         texts = [name for name, values in columns.items() if values.dtype == object]
-        try:
-            with atomic_write(self.path(first)) as temporary:
-                # numbers that are all different gain nothing from a dictionary
-                pq.write_table(
-                    pa.table(arrays), temporary, compression="zstd", use_dictionary=texts, write_page_checksum=True
-                )
-        except OSError as error:
-            if error.filename is None and error.errno is not None:  # Arrow tells the number alone
-                raise OSError(error.errno, os.strerror(error.errno), str(self.path(first))) from error
-            raise
+        with atomic_write(self.path(first)) as temporary:
+            # numbers that are all different gain nothing from a dictionary
+            pq.write_table(
+                pa.table(arrays), temporary, compression="zstd", use_dictionary=texts, write_page_checksum=True
+            )
 
     def firsts(self) -> list[int]:
         """First runs of the blocks that are there, in order."""
