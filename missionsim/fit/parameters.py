@@ -16,7 +16,7 @@ from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.align import Clock
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95
-from missionsim.identify.forward import far_from_right
+from missionsim.identify.predictive import far_from_right
 from missionsim.identify.settings import Settings
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run

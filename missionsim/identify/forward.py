@@ -7,6 +7,7 @@ zero unless prediction improves clearly and in most runs.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,24 +18,20 @@ from missionsim.identify.data import Candidate, Layout
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Evidence
 from missionsim.identify.model import Model
-from missionsim.identify.predictive import LeastSquares, Left, sober_clock
+from missionsim.identify.predictive import LeastSquares, Left, far_from_right, sober_clock
 from missionsim.identify.settings import (
     ENERGY_FALL,
     FAMILY_LEVEL,
     HALVED,
     HALVED_LEVEL,
     INDEPENDENT_S,
-    LABEL_LEVEL,
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
     LEAST_PASS_THROUGH,
     LOUDER,
     NESTED,
-    OFTEN,
-    OFTEN_PART,
     PASS_THROUGH_FALL,
     POWER_Z,
-    ROUGH,
     SEVERAL_RUNS,
     STRICT_LEVEL,
     SWALLOWED,
@@ -138,21 +135,6 @@ class Choice:
     """The selection by prediction, where the base was far from right."""
 
 
-def far_from_right(source: Source) -> LeastSquares | None:
-    """Least squares at clocks as logged where even the recalibrated base predicts most left-out runs so badly that its
-    form is far from right; None elsewhere.
-
-    A ramp or two that it does not know are no reason: one missing effect of few runs, or of few rows as a surge or a
-    jolt is, is what the finer search is for.
-    """
-    design = source.design(Clock.as_logged(len(source.runs)))
-    squares, mean_w = LeastSquares.of(design), abs(source.layout.mean_power_w)
-    error = np.sqrt(squares.leave_out(()).square / squares.seconds)
-    rows = np.abs(design.residual - squares.fit(()) @ design.gradient[: squares.q])
-    often = np.average(rows > OFTEN * mean_w, weights=design.duration_s) > OFTEN_PART
-    return squares if np.median(error) > ROUGH * mean_w and often else None
-
-
 def forward(source: Source, given: Sequence[str] | None = None, *, near: bool = False) -> Forward | None:
     """Select effects by the prediction of left-out runs, or fit given ones; None where the base is near enough for the
     finer search, unless `near` is no reason to leave it. Raises ValueError: if a given effect is unknown or has no
@@ -227,7 +209,11 @@ class _Search:
                 if (trial := self.tried(number, option, chosen)) is not None and trial.accepted
             ]
             if not tried:
-                break
+                pair = self._pair(chosen)
+                if not pair:
+                    break
+                chosen = (*chosen, *pair)
+                continue
             # watts that another meter measured come before anything whose size has to be found
             known = [t for t in tried if self._logged(t.columns)]
             # what makes them needless imitates them
@@ -242,6 +228,23 @@ class _Search:
             if not set(best.columns) & set(chosen):
                 break
         return chosen
+
+    def _pair(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
+        """Columns of the two effects that together predict best, if each passes every gate beside the other; else none.
+
+        Alone each may be hidden by the other, as payloads and floors are in nine runs that combine three of both.
+        """
+        inside = {self.effect_of(k) for k in chosen}
+        options = [(n, option) for n, each in self.options() if n not in inside for option in each]
+        pairs = [(one, other) for one, other in itertools.combinations(options, 2) if one[0] != other[0]]
+        if not pairs:
+            return ()
+        (n, one), (m, other) = min(pairs, key=lambda p: self.squares.leave_out([*chosen, *p[0][1], *p[1][1]]).total)
+        first = self.tried(n, one, (*chosen, *other))
+        if first is None or not first.accepted:
+            return ()
+        second = self.tried(m, other, (*chosen, *first.columns))
+        return (*first.columns, *second.columns) if second is not None and second.accepted else ()
 
     def _logged(self, columns: Sequence[int]) -> set[int]:
         """Effects among them that pass on watts of another meter."""
@@ -339,8 +342,8 @@ class _Search:
         if self.candidates[number].levels and [name for name, holds in passed.items() if not holds] == ["robust"]:
             # a Wald test of several levels of a few runs each has no power, and a label asks one question of its own
             levels = [k for k in range(len(layout.columns)) if self.effect_of(k) == number]
-            by_chance = squares.shuffled(levels, beside, LABEL_LEVEL, np.random.default_rng(runs))
-            if by_chance <= LABEL_LEVEL:
+            by_chance = squares.shuffled(levels, beside, FAMILY_LEVEL, np.random.default_rng(runs))
+            if by_chance <= FAMILY_LEVEL:
                 p_value, passed["robust"] = by_chance, True
         return Trial(number, tuple(own), after, shares, own_covariance, p_value, passed)
 

@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Design, Source
-from missionsim.identify.settings import DELAY_LEVEL, FEWEST_FOLDS, INDEPENDENT_S, SEVERAL_RUNS, SHORTEST_FOLD_S
+from missionsim.identify.settings import (
+    DELAY_LEVEL,
+    FEWEST_FOLDS,
+    INDEPENDENT_S,
+    OFTEN,
+    OFTEN_PART,
+    ROUGH,
+    SEVERAL_RUNS,
+    SHORTEST_FOLD_S,
+)
 from missionsim.physics import Array
 
 RIDGE = 1e-9
@@ -235,6 +244,21 @@ class LeastSquares:
             if np.all(moved[self.q :] * value[self.q :] >= 0.0):  # no effect may change its sign for it
                 return moved
         return value
+
+
+def far_from_right(source: Source) -> LeastSquares | None:
+    """Least squares at clocks as logged where even the recalibrated base predicts most left-out runs so badly that its
+    form is far from right; None elsewhere.
+
+    A ramp or two that it does not know are no reason: one missing effect of few runs, or of few rows as a surge or a
+    jolt is, is what the finer search is for.
+    """
+    design = source.design(Clock.as_logged(len(source.runs)))
+    squares, mean_w = LeastSquares.of(design), abs(source.layout.mean_power_w)
+    error = np.sqrt(squares.leave_out(()).square / squares.seconds)
+    rows = np.abs(design.residual - squares.fit(()) @ design.gradient[: squares.q])
+    often = np.average(rows > OFTEN * mean_w, weights=design.duration_s) > OFTEN_PART
+    return squares if np.median(error) > ROUGH * mean_w and often else None
 
 
 def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:

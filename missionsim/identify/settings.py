@@ -334,12 +334,12 @@ USUAL_PASS_THROUGH = (0.8, 1.25)
 is no better known to be drawn than any other effect, and has rivals as these do."""
 FAMILY_LEVEL = 0.05
 """Family-wise level of the Wald test with errors clustered by run, where the error of left-out runs falls by
-`LEAST_FALL` as well: with 6 to 13 runs a tenth of it has no power."""
+`LEAST_FALL` as well: with 6 to 13 runs a tenth of it has no power. A label that is constant in runs asks one question
+of its own at that level: whether its levels predict left-out runs better than when dealt out among the runs anew."""
 STRICT_LEVEL = 0.01
 """The same where that error hardly falls, or where stretches of few runs, no draws of their own, are the sample."""
 LABEL_LEVEL = 0.01
-"""Level of a label's one question: whether its levels predict left-out runs better than when dealt out among the runs
-anew, or, beside a base that is near, whether runs differ by them (F)."""
+"""Level of a label's one question beside a base that is near: whether runs differ by its levels (F)."""
 HALVED, HALVED_LEVEL = 0.5, 0.05
 """An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
 differ from run to run, so that the Wald test over few of them has no power."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.identify.evidence import robust
+from missionsim.identify.evidence import chance_of, robust
 from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
 from missionsim.identify.settings import SEVERAL_RUNS
@@ -44,21 +44,21 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
     `clock`: whether the law reads a clock, which any wander of half the runs looks like.
     """
     model = fitted.model
-    share, sd, _, run_sd, _ = robust(model, fitted.column)
-    least, runs = LEAST_BETTER, 0
+    share, sd, _, run_sd, run_p = robust(model, fitted.column)
+    least, runs, by_chance = LEAST_BETTER, 0, chance_of(0.5 * (share / max(sd, 1e-300)) ** 2)
     if model.squares is not None:
         # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s
         if len(model.design.runs) > SEVERAL_RUNS:
-            sd, runs = max(sd, run_sd), SEVERAL_RUNS
+            # a corner of the data, as slow turns on snow, is driven in two or three runs, however many there are
+            sd, runs, by_chance = max(sd, run_sd), SEVERAL_RUNS, max(by_chance, run_p)
         else:  # two runs know little of a product of three: what it says of other runs is a guess
             least, runs = FEW_BETTER, len(fitted.form)
-    z = abs(share) / max(sd, 1e-300)
     errors = fitted.errors
     several = len(model.design.runs) > 1
     passed = {
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
-        "blocks": 0.5 * z * z > fitted.penalty,
+        "blocks": by_chance < chance_of(fitted.penalty),
         "left-out runs": not several
         or (errors.with_law < least * errors.without and errors.better >= (0.75 if clock else 0.5) * errors.acting),
         "several runs": errors.acting >= runs,
