@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.diagnose.features import Features
+from missionsim.diagnose.split import parts_of
 from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit, of_formula
@@ -98,6 +99,11 @@ class Models:
         return self._fits[asked]
 
     @cached_property
+    def parts(self) -> tuple[Run, ...]:
+        """Of a single run: there is no other that it could be predicted from."""
+        return tuple(parts_of(self.runs[0], PARTS))
+
+    @cached_property
     def unheld(self) -> Models:
         """The same with a base that takes what it can, where something is seen that these data cannot name."""
         free = dict.fromkeys(self.features.prior_sd, FREE_SD)
@@ -176,12 +182,13 @@ class Models:
         return tuple(kept)
 
     def of_others(self, effects: Sequence[Finding]) -> float:
-        """Mean square error of parts of the runs, predicted from a fit to the others; of one run, of its fit [W2]."""
-        count = min(len(self.runs), PARTS)
+        """Mean square error of parts of the runs, or of a single run, predicted from a fit to the others [W2]."""
+        runs = self.runs if len(self.runs) > 1 else self.parts
+        count = min(len(runs), PARTS)
         errors = []
         for i in range(count):
-            others = [run for k, run in enumerate(self.runs) if k % count != i or count == 1]
-            errors.append(self.errors(self.fit(effects, runs=others).model, self.runs[i::count]))
+            others = [run for k, run in enumerate(runs) if k % count != i]
+            errors.append(self.errors(self.fit(effects, runs=others).model, runs[i::count]))
         return float(np.average([e.power_rmse_w**2 for e in errors], weights=[e.total.seconds for e in errors]))
 
     def certain(

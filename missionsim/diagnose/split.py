@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -199,6 +200,14 @@ def stretches(runs: Sequence[Run]) -> tuple[list[Run], str]:
         kept.append(replace(run, columns=derived).rows_where(keep))
     hours = [sum(run.duration_s for run in some) / 3600.0 for some in (kept, runs)]
     return kept, "effects are looked for in {:.1f} of {:.1f} h, in stretches spread evenly over all runs".format(*hours)
+
+
+def parts_of(run: Run, count: int) -> list[Run]:
+    """A run cut into parts of as many rows, in which clocks of memory and rates go on."""
+    whole = replace(run, columns=derive(run.columns, run.time_s, run.dt_s))
+    edges = np.linspace(0, run.rows, count + 1).astype(int).tolist()
+    parts = [whole.rows_where(slice(a, b)) for a, b in itertools.pairwise(edges)]
+    return [replace(part, run=f"{run.run} part {number}") for number, part in enumerate(parts, 1)]
 
 
 def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequence[Effect]) -> tuple[list[Run], str]:

@@ -11,8 +11,10 @@ import numpy as np
 from missionsim.identify.evidence import chance_of, robust
 from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.settings import SEVERAL_RUNS
 from missionsim.identify.simpler import drifts_as_well
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.laws.search import Fitted
@@ -54,14 +56,14 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
         else:  # two runs know little of a product of three: what it says of other runs is a guess
             least, runs = FEW_BETTER, len(fitted.form)
     errors = fitted.errors
-    several = len(model.design.runs) > 1
     passed = {
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": by_chance < chance_of(fitted.penalty),
-        "left-out runs": not several
-        or (errors.with_law < least * errors.without and errors.better >= (0.75 if clock else 0.5) * errors.acting),
-        "several runs": errors.acting >= runs,
+        "left-out runs": errors.with_law < least * errors.without
+        and errors.better >= (0.75 if clock else 0.5) * errors.acting,
+        # stretches of one run are no runs
+        "several runs": min(errors.acting, len(model.design.runs)) >= runs,
         "no drift": not drifts_as_well(model.design, model.chosen[-1:], model.chosen[:-1]),
     }
     return Gates(sd, passed)
@@ -69,7 +71,7 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of runs that were left out one at a time (of the fit itself, where there is one run)."""
+    """Errors of runs, or of stretches of a single one, that were left out one at a time."""
 
     without: float
     with_law: float
@@ -85,14 +87,25 @@ class LeftOut:
 
 
 def left_out(model: Model, last: int = 1) -> LeftOut:
-    """Each run predicted from the others, without the last columns of a model and with them."""
+    """Each run predicted from the others, or each stretch of a single run, without the last columns of a model and with
+    them."""
+    square, energy, size = (_of_stretches if len(model.design.runs) == 1 else _of_runs)(model, last)
+    acting = size > ACTS * max(float(size.sum()), 1e-300)
+    told = np.isfinite(energy[0])
+    rms, mean = np.sqrt(square.mean(axis=1)), energy[:, told].mean(axis=1) if told.any() else np.zeros(2)
+    better = int(np.sum((square[1] < square[0])[acting]))
+    runs = tuple(float(x) for x in np.sqrt(square[1]))
+    return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()), runs)
+
+
+def _of_runs(model: Model, last: int) -> tuple[Array, Array, Array]:
+    """Mean squared power error and energy error [%], each (2, runs), and squared size of the last columns (runs,)."""
     design, gram = model.design, model.gram
     count = len(design.runs)
     q = len(design.layout.parameters)
     square, energy, size = np.zeros((2, count)), np.full((2, count), math.nan), np.zeros(count)
     for j, rows in enumerate(design.runs):
-        kept = np.arange(count) != j if count > 1 else np.ones(1, dtype=bool)
-        part = Gram(gram.per_run[kept], gram.prior_precision)
+        part = Gram(gram.per_run[np.arange(count) != j], gram.prior_precision)
         seconds = design.duration_s[rows]
         measured = float(np.sum(design.y[rows] * seconds))
         for i, chosen in enumerate((model.chosen[:-last], model.chosen)):
@@ -103,9 +116,15 @@ def left_out(model: Model, last: int = 1) -> LeftOut:
             if measured:  # a run, or a piece of one, in which a drive's meter stood at nought has no energy error
                 energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
         size[j] = float(np.sum(design.phi[-last:, rows] ** 2))
-    acting = size > ACTS * max(float(size.sum()), 1e-300)
-    told = np.isfinite(energy[0])
-    rms, mean = np.sqrt(square.mean(axis=1)), energy[:, told].mean(axis=1) if told.any() else np.zeros(2)
-    better = int(np.sum((square[1] < square[0])[acting]))
-    runs = tuple(float(x) for x in np.sqrt(square[1]))
-    return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()), runs)
+    return square, energy, size
+
+
+def _of_stretches(model: Model, last: int) -> tuple[Array, Array, Array]:
+    """The same of the stretches into which least squares cuts few runs."""
+    squares = LeastSquares.of(model.design)
+    left = [squares.leave_out(chosen) for chosen in (model.chosen[:-last], model.chosen)]
+    own = [1 + squares.q + k for k in model.chosen[-last:]]
+    measured = squares.sums[:, -2, -1]
+    energy = [np.abs(one.energy) / np.where(measured == 0.0, math.nan, np.abs(measured)) for one in left]
+    square = np.array([one.square / squares.seconds for one in left])
+    return square, 100.0 * np.array(energy), np.asarray(squares.sums[:, own, own].sum(axis=1))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose.heldout import Models
-from missionsim.diagnose.split import choose_split, stretches
+from missionsim.diagnose.split import choose_split, parts_of, stretches
 from missionsim.effects.covariates import derive
 from missionsim.errors import InputError
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS
@@ -150,3 +150,13 @@ def test_the_runs_with_most_of_what_an_effect_is_about_are_predicted_from_the_ot
         held_out=lambda _models, out, _how, _shifted: [run.run for run in out],
     )
     assert Models.shifted(models, [effect]) == left_out
+
+
+def test_a_single_run_is_cut_into_parts_in_which_its_clocks_go_on() -> None:
+    seconds = 401
+    run = drive(1, seconds=float(seconds), speed_m_s=np.full(seconds, 0.5))
+    parts = parts_of(run, 4)
+    assert len({part.run for part in parts}) == 4
+    assert sum(part.rows for part in parts) == run.rows
+    moved = np.concatenate([part.number("moving_time_s") for part in parts])
+    assert np.all(np.diff(moved) > 0.0)  # warm when the second part begins

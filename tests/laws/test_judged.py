@@ -168,6 +168,21 @@ def test_a_clock_must_help_in_three_runs_of_four(
     assert gates.gates(law, clock=clock).passed["left-out runs"] is held
 
 
+@pytest.mark.parametrize(("driven", "helps"), [(40, False), (400, True)])
+def test_a_law_of_a_single_run_predicts_stretches_that_it_was_not_fitted_to(driven: int, helps: bool) -> None:
+    """What happened in the first 40 s of 400 fits these; of the others it says nothing."""
+    rng = np.random.default_rng(2)
+    law = np.where(np.arange(400) < driven, rng.integers(0, 2, 400), 0.0)
+    y = 10.0 + 4.0 * law + rng.normal(size=400)
+    other = 0.1 * (np.arange(400) < 40) * rng.normal(size=400)  # the same rows once more
+    layout = SimpleNamespace(parameters=("c4",), prior_sd=np.ones(1))
+    design = SimpleNamespace(runs=[slice(0, 400)], layout=layout, duration_s=np.ones(400), y=y, base=np.full(400, 10.0))
+    design.residual, design.gradient, design.phi = y - 10.0, np.full((1, 400), 10.0), np.vstack([other, law])
+    errors = gates.left_out(SimpleNamespace(design=design, chosen=(1,)))
+    assert (errors.with_law < gates.LEAST_BETTER * errors.without) is helps
+    assert errors.acting == (8 if helps else 1)
+
+
 def test_a_run_whose_meter_stood_at_nought_has_no_energy_error() -> None:
     x = np.r_[1.0, 0.0, 1.0, 0.0, np.zeros(4)]
     y = np.r_[5.0, 1.0, 5.0, 1.0, np.zeros(4)]
