@@ -101,6 +101,8 @@ def run_command(arguments: Sequence[str]) -> int:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         return EXIT_PIPE
     except OSError as error:
+        if error.filename is None:  # what is buffered would fail once more when the program ends
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         print(visible(f"{error.filename or 'standard output'}: error: {error.strerror or error}"), file=sys.stderr)
         return EXIT_INPUT
     except Exception as error:

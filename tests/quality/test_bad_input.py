@@ -223,8 +223,16 @@ def test_results_keep_links_and_devices(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"]
 
 
-def test_a_full_standard_output_is_called_so() -> None:
-    command = [sys.executable, "-c", "from missionsim.cli import main; main()", "robots"]
+@pytest.mark.parametrize("more", [[], ["--json", "-"]])
+@pytest.mark.parametrize("term", ["xterm", None])
+def test_a_full_standard_output_is_called_so(
+    term: str | None, more: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is buffered then does not fail once more when the program ends."""
+    monkeypatch.delenv("TERM", raising=False)
+    if term:
+        monkeypatch.setenv("TERM", term)
+    command = [sys.executable, "-c", "from missionsim.cli import main; main()", "robots", *more]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2
