@@ -131,6 +131,8 @@ def test_power_of_a_lead_grows_from_nothing_to_certainty() -> None:
 @pytest.mark.parametrize(
     ("leads", "told"),
     [
+        ((13.0, 30.0, 4.0, 11.9), ["hill", "hill with payload"]),
+        ((13.0, 30.0, 4.0, 12.0), [experiments.ELSEWHERE]),  # the logs should have told them apart by themselves
         ((13.0, 30.0, 4.0), ["hill", "hill with payload"]),  # both will do: first the one that varies a single cause
         ((1.5, 1.2, 1.8), []),  # a nat at least beyond what is known
         ((4.0, 1.2, 1.2), ["hill; 4 times as long"]),
@@ -138,7 +140,8 @@ def test_power_of_a_lead_grows_from_nothing_to_certainty() -> None:
     ],
 )
 def test_the_manoeuvre_that_is_proposed(monkeypatch: pytest.MonkeyPatch, leads: list[float], told: list[str]) -> None:
-    """For a grade that may be payload; a lead of one nat is in the logs."""
+    """For a grade that may be payload; a lead of one nat, or of the last that is given, is in the logs."""
+    leads, now = leads[:3], [*leads, 1.0][3]
     causes = {"hill": {"slope_rad"}, "hill with payload": {"slope_rad", "payload_kg"}, "long hill": {"slope_rad"}}
     manoeuvres = [
         SimpleNamespace(do=do, varies=varied, lead=lead, duration_s=60.0, parts=())
@@ -147,7 +150,7 @@ def test_the_manoeuvre_that_is_proposed(monkeypatch: pytest.MonkeyPatch, leads: 
     bench = SimpleNamespace(
         site=None,
         imagined=lambda manoeuvre: manoeuvre.lead,
-        model=SimpleNamespace(gram=1.0, design=SimpleNamespace(layout=None)),
+        model=SimpleNamespace(gram=now, design=SimpleNamespace(layout=None)),
         features=SimpleNamespace(
             candidates=[SimpleNamespace(effect=n, covariate=c) for n, c in (("a", "slope_rad"), ("b", "payload_kg"))]
         ),
