@@ -122,7 +122,9 @@ class BatteryComparison(RunError):
             way = "more" if error > 0.0 else "less"
             count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
             gives = f"{abs(error):.1f} % {way} energy than was" if abs(error) >= 0.05 else "the energy that was"
-            each = f" (a single run is off by {self.run_energy_error_pct:.1f} %)" if len(self.runs) > 1 else ""
+            each = (
+                f" (single runs are off by {self.run_energy_error_pct:.1f} % on average)" if len(self.runs) > 1 else ""
+            )
             first = f"Over {count} the model gives {gives} measured on battery {self.battery}{each}; {power}"
             if factor := thousandfold(self.energy_measured_wh, self.energy_model_wh):
                 first += f" Measured is about {factor} of modelled: is the meter's unit the watt?"

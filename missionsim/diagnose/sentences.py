@@ -141,7 +141,8 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     if len(levels) > 1:
         return f"on {_listed(levels)}, each its own measure," if name == "surface" else f"by {name}"
     if levels:
-        return f"on {levels[0]}" if name == "surface" else f"in {name} {levels[0]}"
+        word = f"on {levels[0]}" if name == "surface" else f"in {plain(name)} {levels[0]}"
+        return word if beside else f"being {word}"
     if name in ("time_s", "moving_time_s"):
         fades = "exp(-moving_time_s" in formula
         return ("at first" if fades else "the longer the run lasts") if beside else "the time since the start"
@@ -177,8 +178,9 @@ def sure(battery: BatteryDiagnosis) -> str:
     form = "its form is an approximation within the band"
     if len(one.laws) > 1:
         form = f"{len(one.laws)} forms fit alike, so trust the curve and its band, not one formula"
+    left_out = "left-out runs" if len(battery.runs) > 1 else "left-out parts of the run"
     return (
-        f"{told}; {form}. {one.better} of {one.runs} left-out runs in which it acts are predicted better; "
+        f"{told}; {form}. {one.better} of {one.runs} {left_out} in which it acts are predicted better; "
         f"{one.tried:,} forms were tried, and chance is charged for all."
     )
 
@@ -206,7 +208,8 @@ def errors(battery: BatteryDiagnosis) -> str:
         if law is None or not math.isfinite(law.left_out_rmse_w[1]):
             return ""
         before, after = map(watts, law.left_out_rmse_w)
-        return f"On runs left out one at a time, the power error falls from {before} to {after}."
+        what = "runs" if len(battery.runs) > 1 else "parts of the run"
+        return f"On {what} left out one at a time, the power error falls from {before} to {after}."
     given, base, with_it = bars_of(battery.heldout)
     if law is None and not battery.effects:
         return base_note(given, base)

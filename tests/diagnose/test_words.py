@@ -304,3 +304,16 @@ def test_limits_above_half_of_the_energy_say_nothing_and_eight_are_shown() -> No
 )
 def test_nothing_is_called_surer_than_it_is(p_value: float, told: str) -> None:
     assert told in sentences.sure(replace(BATTERY, effects=(replace(GRADE, p_value=p_value),)))
+
+
+@pytest.mark.parametrize(
+    ("formula", "name", "told"),
+    [
+        ("k * (scheme == 'baseline')", "scheme", "Being in control scheme baseline"),
+        ("k * (surface == 'grass')", "surface", "Being on grass"),
+        ("k * abs(speed_m_s) * (surface == 'grass')", "surface", "Being on grass while driving"),
+    ],
+)
+def test_a_law_of_one_level_is_a_sentence(formula: str, name: str, told: str) -> None:
+    variables = [*(["speed_m_s"] if "speed" in formula else []), name]
+    assert sentences._law_subject(formula, variables) == told
