@@ -42,7 +42,8 @@ def validate_document(document: Document, model: type[Loaded], faults: list[Faul
             told = [found for error in problem.errors(include_url=False) for found in _told(error, view, shape)]
             # a key that is missing because it is misspelt is one mistake
             new = [(view.original(path), fault) for path, fault, _ in told if not view.is_faulty(path, below=True)]
-            meant |= {(*path[:-1], fault.hint) for path, fault in new if fault.message.startswith("unknown key")}
+            hints = {(*path[:-1], fault.hint) for path, fault in new if fault.message.startswith("unknown key")}
+            meant |= {where for where in hints if where[-1]}
             faults += [fault for path, fault in new if path not in meant]
             edits: _Edits = {}
             drops: list[Where] = []

@@ -69,8 +69,9 @@ class Usual:
         return np.column_stack([np.ones(run.rows), is_moving(cov), speed, speed**2, turn])
 
     def ratio(self, run: Run) -> float:
-        """Measured energy of a run in times that of the others at its speeds."""
-        return float(run.power_w[self.battery] @ run.dt_s / ((self.columns(run) @ self.watts) @ run.dt_s))
+        """Measured energy of a run in times that of the others at its speeds; not a number where that is none."""
+        usual_j = float((self.columns(run) @ self.watts) @ run.dt_s)
+        return float(run.power_w[self.battery] @ run.dt_s) / usual_j if usual_j else float("nan")
 
 
 class Others:

@@ -36,7 +36,7 @@ def test_a_true_model_has_no_error() -> None:
     assert one.power_rmse_w == pytest.approx(0.0, abs=1e-9)
     assert one.error_statistics.peak_pct == pytest.approx(0.0, abs=1e-9)
     assert one.words[0].startswith(
-        "Over 3 runs the model gives the energy that was measured on battery robot (a single"
+        "Over 3 runs the model gives the energy that was measured on battery robot (single runs"
     )
     assert "+0 W on average" in one.words[0]
     assert one.words[-1].startswith("No logged quantity goes with as much as 2 % of the error's variance")

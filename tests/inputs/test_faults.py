@@ -261,6 +261,12 @@ def test_the_same_quantity_in_another_unit_is_fine(folder: Path) -> None:
     assert load_robot("robot.yaml").motion.parameters["c4"].value == pytest.approx(3.0)  # type: ignore[union-attr]
 
 
+def test_an_empty_key_is_an_unknown_one(folder: Path) -> None:
+    change("robot", "max_speed: 1 m/s", '"": 1, max_speed: 1 m/s')
+    (text,) = told("robot.yaml")
+    assert "error: unknown key ''" in text
+
+
 def test_keys_allowed_inside_a_repeat_block_are_listed(folder: Path) -> None:
     change("mission", "  - drive: {to: B}", "  - repeat: {times: 2, segments: [{wait: {durations: 3 s}}]}")
     fault = next(text for text in told("mission.yaml") if "unknown key 'durations'" in text)

@@ -16,7 +16,7 @@ from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import Remark, read_logs
-from missionsim.runs.admit import admit, admit_to_test, copies, unchanging
+from missionsim.runs.admit import admit, admit_to_test, copies, unchanging, unfit_runs
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 from tests.hidden_effects.study import ALL_CASES
@@ -363,3 +363,8 @@ def test_a_run_that_carries_most_is_not_odd(case: str, seed: int, tmp_path: Path
     """What half of one run shows of a load is held against the run that carries one throughout."""
     logs = write_world(make(ALL_CASES[case], seed), tmp_path) / "train"
     assert told(read_logs([logs])) == []
+
+
+@pytest.mark.filterwarnings("error")
+def test_runs_without_any_power_are_not_odd_in_their_unit(runs: list[Run]) -> None:
+    assert unfit_runs([replace(run, power_w={"robot": 0.0 * run.power_w["robot"]}) for run in runs]) == {}
