@@ -20,10 +20,13 @@ from missionsim.identify.settings import (
     CURVE_NATS_ON_RAMPS,
     FEWEST_HATS,
     FEWEST_PEAKS,
+    FORM_FAINT,
     FORM_LEVEL,
     FORM_NATS,
+    FORM_SURE,
     FREER,
     GROSS,
+    HELD,
     KNOTS,
     LARGEST_GAIN,
     LINE_RATIO,
@@ -32,6 +35,7 @@ from missionsim.identify.settings import (
     PEAKS,
     PERIODIC_LEVEL,
     RAMP,
+    RAMP_FORM_RATIO,
     RAMP_TAIL_ROWS,
     RAMP_WEIGHT,
     RARE_TIME,
@@ -39,6 +43,7 @@ from missionsim.identify.settings import (
     SLOW_NOISE,
     SLOW_NOISE_S,
     STANDS,
+    STEADY_PART,
     SUPPORT_S,
     UNUSUAL_GAIN,
     USUAL_GAIN,
@@ -272,31 +277,49 @@ def peaks(left_w: Array, seconds: Array) -> str:
 
 
 def wrong_form(model: Model, column: int) -> Structure | None:
-    """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right, away
-    from ramps; what acts on ramps alone has no form to be judged there."""
-    candidate, ratio = model.constraints.of_column(column), model.constraints.settings.form_ratio
+    """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right.
+
+    What the base parameter that is the twin of the effect takes of it is explained by the same form.
+    """
+    candidate, settings = model.constraints.of_column(column), model.constraints.settings
     covariate = candidate.covariate
-    if covariate not in model.source.covariates or known(covariate).ramps:
+    if covariate not in model.source.covariates:
         return None
+    rest = [k for k in model.chosen if k != column]
     times = SPEED if known(covariate).multiplies_speed and SPEED in model.source.covariates else ""
     rows, knots = curve_rows(model, covariate, times)
     if rows.shape[0] < 2:
         return None  # too few values of the covariate to judge a form
-    away, rest = steady(model), [k for k in model.chosen if k != column]
-    beyond, p_value, values = test_curve(away, rows, model.chosen)
-    if beyond < FORM_NATS or p_value > FORM_LEVEL:
-        return None
-    # both against the model without the effect, so that they compare
     own_row = model.design.phi[[column]]
-    own, _, _ = test_curve(away, own_row, rest)
-    free, _, _ = test_curve(away, np.vstack([rows, own_row]), rest)
-    if own >= (GROSS if known(covariate).noisy_form else ratio) * free:
-        return None
-    size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-    words = (
-        f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values, 2.0 * beyond / rows.shape[1])})"
-    )
-    return Structure(covariate, p_value, beyond, size, words)
+    judges = [(model, RAMP_FORM_RATIO)]
+    if not known(covariate).ramps:
+        away = steady(model)
+        gain, gain_away = (test_curve(m, own_row, rest)[0] for m in (model, away))
+        if gain_away > STEADY_PART * gain:  # a surge at each start acts on ramps alone
+            judges.insert(0, (away, settings.form_ratio))
+    for judge, ratio in judges:
+        beyond, p_value, values = test_curve(judge, rows, model.chosen)
+        # blocks that differ much among themselves hide a misfit from the sandwich, but not one as loud as this
+        loud = beyond > CURVE_NATS_ON_RAMPS
+        faint = beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS)
+        if faint or (p_value > FORM_FAINT and not loud):
+            continue
+        layout = judge.design.layout
+        if candidate.prior in layout.parameters:
+            sd = layout.prior_sd.copy()
+            sd[layout.parameters.index(candidate.prior)] *= HELD
+            judge = replace(judge, design=replace(judge.design, layout=replace(layout, prior_sd=sd)))
+        # both against the model without the effect, so that they compare
+        own, _, _ = test_curve(judge, own_row, rest)
+        free, _, _ = test_curve(judge, np.vstack([rows, own_row]), rest)
+        # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that
+        sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
+        if own < GROSS * free or (own < ratio * free and sure):
+            size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
+            part = 2.0 * beyond / rows.shape[1]
+            words = f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values, part)})"
+            return Structure(covariate, p_value, beyond, size, words)
+    return None
 
 
 def stands_without(model: Model, column: int, structure: Structure) -> bool:

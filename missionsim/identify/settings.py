@@ -230,18 +230,28 @@ RAMP_TAIL_ROWS = 2
 """Rows behind a ramp that still count as such: the meter's lag."""
 RAMP_WEIGHT = 0.002
 """Weight of such rows in tests of form: next to none, but enough to keep the matrices regular."""
+STEADY_PART = 0.05
+"""Part of an effect's gain that must come from other rows, for its form to be judged by them."""
 FREER = 3.0
 """In tests of form base parameters are freer than their priors by this factor: no shift may look like a form."""
+HELD = 0.01
+"""Part of its prior standard deviation that a base parameter is held to where an effect is its twin."""
 SUPPORT_S = 8.0
 """A knot that less time away from ramps supports says nothing of the curve [s]."""
 FEWEST_HATS = 3
 """Fewer supported knots than this are no curve."""
-FORM_LEVEL, FORM_NATS = 0.02, 20.0
-"""An effect has a wrong form only where a free curve over its covariate gains so many nats at this level: five free
-values follow slow noise by some 10 nats, and few blocks carry the test of a large gain."""
+FORM_LEVEL = 1e-3
+"""Level of the one test of an effect's form; a misfit must be large as well."""
+FORM_FAINT = 0.02
+"""Where the gain beyond the form is large, this level suffices: few blocks carry the test."""
+FORM_NATS = 20.0
+"""Gain beyond the form that is large."""
+FORM_SURE = 1e-5
+"""A misfit below the gross one must be this sure."""
 GROSS = 0.45
-"""Beside the noise of a slope's sensor, which bends a right form, only an effect that explains less than this part of
-what a free curve explains has the wrong one (`form_ratio` elsewhere)."""
+"""An effect that explains less than this part of what a free curve explains is wrong even where the misfit is faint."""
+RAMP_FORM_RATIO = 0.5
+"""The same with rows beside ramps in, where only a gross misfit counts."""
 STANDS = 0.5
 """An effect that keeps less of its gain beside the free curve of another structure may be the shadow of that."""
 SLOW_NOISE_S = 30.0

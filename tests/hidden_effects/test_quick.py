@@ -59,6 +59,11 @@ def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
     assert row("component_power-kinect-2pct", 0)["named"] == "component_power:kinect"
 
 
+def test_what_stands_in_for_a_plan_that_is_not_kept_is_not_named() -> None:
+    """Copper loss comes in, and its form is not right: what decides against it is that judgement."""
+    assert row("execution-dwell-3pct", 1010)["named"] == "dwell"
+
+
 def test_surges_that_the_clock_without_them_had_smeared_are_named():
     assert row("start_surge-2pct", 1010)["named"] == "start_surge"
 

@@ -118,12 +118,23 @@ def test_a_residual_that_depends_on_a_covariate(
 @pytest.mark.parametrize(
     ("beyond", "p_value", "own", "wrong"),
     [
-        (18.0, 1e-9, 40.0, False),  # slow noise gives five free values some 10 nats
-        (22.0, 1e-9, 40.0, True),
+        (7.0, 1e-9, 40.0, False),  # about what slow noise gives five free values
+        (9.0, 1e-9, 40.0, True),
+        (18.0, 1.4e-3, 40.0, False),
+        (18.0, 7e-4, 40.0, True),
+        (22.0, 3e-3, 40.0, True),  # few blocks carry the test of a large gain
         (22.0, 2.3e-2, 40.0, False),
         (22.0, 1.7e-2, 40.0, True),
+        (45.0, 3e-2, 40.0, False),
+        (55.0, 3e-2, 40.0, True),  # blocks that differ hide no misfit as loud as this
+        (22.0, 3e-3, 50.0, False),  # not gross, nor sure
+        (22.0, 1.4e-5, 60.0, False),
+        (22.0, 7e-6, 60.0, True),
+        (18.0, 3e-6, 60.0, False),
         (22.0, 3e-6, 83.0, True),
         (22.0, 3e-6, 87.0, False),
+        (22.0, 3e-6, 5.5, True),
+        (22.0, 3e-6, 4.5, False),  # what acts on ramps alone is not judged by the rows away from them
     ],
 )
 def test_a_form_that_is_not_right(
@@ -139,12 +150,14 @@ def test_a_form_that_is_not_right(
     assert (residual.wrong_form(free_curve(monkeypatch, answer), 0) is not None) is wrong
 
 
-@pytest.mark.parametrize(("own", "wrong"), [(43.0, True), (47.0, False)])
-def test_noise_of_a_slope_bends_a_right_form(monkeypatch: pytest.MonkeyPatch, own: float, wrong: bool) -> None:
-    gains = {1: own, 5: 30.0, 6: 100.0}
-    model = free_curve(monkeypatch, lambda _, rows, __: (gains[rows], 1e-9))
-    model.constraints, model.source.covariates = constraints("slope_rad"), ("slope_rad",)
-    assert (residual.wrong_form(model, 0) is not None) is wrong
+@pytest.mark.parametrize(("own", "wrong"), [(47.0, True), (53.0, False)])
+def test_beside_ramps_only_a_gross_misfit_is_one(monkeypatch: pytest.MonkeyPatch, own: float, wrong: bool) -> None:
+    def answer(away: bool, rows: int, inside: int) -> tuple[float, float]:
+        if inside:
+            return (0.0, 1.0) if away else (22.0, 1e-6)
+        return (own if rows == 1 else 100.0), 0.0
+
+    assert (residual.wrong_form(free_curve(monkeypatch, answer), 0) is not None) is wrong
 
 
 @pytest.mark.parametrize(("left", "stands"), [(45.0, False), (55.0, True)])
