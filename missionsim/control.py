@@ -45,8 +45,14 @@ class Optimum:
 class PowerPredictor:
     """Power of a robot for a controller: arrays of settings in, watts out.
 
-    `robot`: a shipped robot's name, a path or a loaded robot; `battery`: the first one if not given; `on`: units that
-    are switched on, all components once if not given.
+    Parameters
+    ----------
+    robot : RobotSpec or str
+        A shipped robot's name, a path or a loaded robot.
+    battery : str, optional
+        The first one if not given.
+    on : mapping, optional
+        Units that are switched on; all components once if not given.
     """
 
     robot: Any
@@ -94,11 +100,22 @@ class PowerPredictor:
     def horizon_energy(
         self, speeds_m_s: ArrayLike, step_s: float, freq_hz: ArrayLike | None = None, **covariates: ArrayLike
     ) -> Array:
-        """Energy (J) of candidate trajectories over a horizon, shape (candidates,).
+        """Energy (J) of candidate trajectories over a horizon.
 
-        `speeds_m_s` (shape (candidates, steps)): speed in each step; accelerations follow from one step to the next
-        (the first from the step before it, if `start_speed_m_s` is among the covariates: ``complexity``, ``slope_rad``,
-        ``payload_kg``…). `freq_hz` broadcasts against it.
+        Parameters
+        ----------
+        speeds_m_s : array_like, shape (candidates, steps)
+            Speed in each step; accelerations follow from one step to the next (the first from the step before it, if
+            `start_speed_m_s` is among the covariates).
+        step_s : float
+        freq_hz : array_like, optional
+            Broadcasts against `speeds_m_s`.
+        **covariates
+            ``complexity``, ``slope_rad``, ``payload_kg``…
+
+        Returns
+        -------
+        ndarray, shape (candidates,)
         """
         if not 0.0 < step_s < np.inf:
             raise InputError.single("a horizon needs a step of time", got=step_s, allowed="more than 0 s")
@@ -111,8 +128,13 @@ class PowerPredictor:
         return np.asarray(np.sum(np.broadcast_to(watts, speed.shape), axis=-1) * step_s)
 
     def loop_time(self, speed_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> Array:
-        """Time per batch (PLPT), s. Raises InputError: for a robot without an on-board computer under the law
-        ``multicore_cpu``."""
+        """Time per batch (PLPT), s.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            For a robot without an on-board computer under the law ``multicore_cpu``.
+        """
         cov = {"speed_m_s": f64(speed_m_s), "cpu_freq_hz": f64(freq_hz), "complexity": f64(complexity)}
         return f64(named_models.loop_time(cov, self._cpu()))
 

@@ -61,7 +61,13 @@ class MissionsimError(Exception):
 
 
 class InputError(MissionsimError):
-    """Faults in the user's input, all of them at once, at least one; the command line exits with 2."""
+    """Faults in the user's input, all of them at once; the command line exits with 2.
+
+    Parameters
+    ----------
+    faults : iterable of Fault
+        At least one.
+    """
 
     def __init__(self, faults: Iterable[Fault] | Fault) -> None:
         self.faults: tuple[Fault, ...] = (faults,) if isinstance(faults, Fault) else tuple(sorted(set(faults)))
@@ -87,7 +93,17 @@ class InputError(MissionsimError):
 
 
 def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:
-    """Known name closest to what came, or an empty string. `cutoff`: similarity, 0 to 1, below which nothing is."""
+    """Closest known name, or an empty string.
+
+    Parameters
+    ----------
+    word : str
+        What came.
+    known : iterable of str
+        What is allowed.
+    cutoff : float
+        Similarity from 0 to 1 below which nothing is suggested.
+    """
     names = list(known)
     found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
     if not found:

@@ -58,7 +58,14 @@ class Measured:
 
 class FidelityModel:
     """Energy per metre at a fidelity: a table on a grid of speed and clock, and bilinear interpolation between.
-    `speeds_m_s`: lowest and highest speed."""
+
+    Parameters
+    ----------
+    predictor : PowerPredictor
+    speeds_m_s : tuple of float
+        Lowest and highest speed.
+    complexity : float
+    """
 
     def __init__(self, predictor: PowerPredictor, speeds_m_s: tuple[float, float], complexity: float = 1.0) -> None:
         self.predictor, self.range_m_s, self.complexity = predictor, speeds_m_s, complexity
@@ -130,8 +137,17 @@ class AutoFidelity:
     A prediction in a new environment costs a new table. Its time is measured on every use, so that the level changes
     while a mission runs when the computer gets slower, the environment changes or the promise does.
 
-    `speeds_m_s`: lowest and highest speed; `error_pct`: promised mean error; `budget_s`: time that one prediction may
-    take; `levels`: from coarse to fine.
+    Parameters
+    ----------
+    predictor : PowerPredictor
+    speeds_m_s : tuple of float
+        Lowest and highest speed.
+    error_pct : float
+        Promised mean error.
+    budget_s : float
+        Time that one prediction may take.
+    levels : sequence of Fidelity
+        From coarse to fine.
     """
 
     def __init__(

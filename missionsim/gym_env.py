@@ -34,9 +34,16 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     scaled to 0…1 or −1…1. Reward: minus the energy of the step (J per metre of the track's length, scaled), minus a
     penalty for batches that were not processed, minus a small price of time.
 
-    `robot`: a shipped robot or a path; it needs a computer under the law ``multicore_cpu``. `length_m`, `piece_m`,
-    `step_s`: of the track, of one piece of it, and of a time step; `missed_cost`, `time_cost`: of one batch not
-    processed and of one second, J; `slope_rad`: greatest slope of a piece.
+    Parameters
+    ----------
+    robot : str
+        A shipped robot or a path; it needs a computer under the law ``multicore_cpu``.
+    length_m, piece_m, step_s : float
+        Length of the track, of one piece of it, and of a time step.
+    missed_cost, time_cost : float
+        Cost of one batch not processed and of one second, J.
+    slope_rad : float
+        Greatest slope of a piece.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own interface

@@ -92,7 +92,13 @@ class Answer(Generic[T]):
         return figure
 
     def save(self, path: PathLike) -> Path:
-        """Write the robot or mission file that came of it. Raises ValueError: where nothing did."""
+        """Write the robot or mission file that came of it.
+
+        Raises
+        ------
+        ValueError
+            Nothing came of it that could be written.
+        """
         from missionsim.inputs.edit import for_folder
 
         if not self.text:
@@ -116,8 +122,16 @@ class Answer(Generic[T]):
 
 
 def run(mission: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[RunResult]:
-    """Simulate one mission file; see ``missionsim run``. `set`: path → value, as ``{"defaults.speed": "0.5 m/s"}``;
-    `robot`: in place of the mission's own."""
+    """Simulate one mission file; see ``missionsim run``.
+
+    Parameters
+    ----------
+    mission : path-like
+    set : mapping
+        Path → value, such as ``{"defaults.speed": "0.5 m/s"}``.
+    robot : str or path-like, optional
+        In place of the mission's own.
+    """
     from missionsim.engine.simulate import simulate
     from missionsim.inputs.loading import load_mission
     from missionsim.results.write import tables
@@ -138,8 +152,14 @@ def whatif(
     robot: PathLike | None = None,
     workers: int = 1,
 ) -> Answer[WhatIf]:
-    """Run alternatives of a mission; see ``missionsim whatif``. `vary`: path → values; several paths give all
-    combinations."""
+    """Run alternatives of a mission; see ``missionsim whatif``.
+
+    Parameters
+    ----------
+    mission : path-like
+    vary : mapping
+        Path → values; several paths give all combinations.
+    """
     from missionsim.results.whatif import BASELINE, Alternative, run_alternatives, varied
 
     base, other = _pairs(set), None if robot is None else str(robot)
@@ -230,8 +250,13 @@ def diagnose(
 def add_effect(
     robot: PathLike, effect: str, logs: Logs, *, battery: str, holdout: str = "none", force: bool = False
 ) -> Answer[Adopted]:
-    """Fit an effect and get the robot file that has it (`Answer.save`); see ``missionsim add-effect``. Raises
-    NotSignificant: where the logs do not support it, and `force` is not set."""
+    """Fit an effect and get the robot file that has it (`Answer.save`); see ``missionsim add-effect``.
+
+    Raises
+    ------
+    missionsim.diagnose.adopt.NotSignificant
+        The logs do not support it, and `force` is not set.
+    """
     from missionsim.diagnose.adopt import adopt
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text

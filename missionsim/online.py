@@ -120,10 +120,21 @@ class Forecast:
 class OnlinePredictor:
     """Follows a mission sample by sample.
 
-    `expected`: of the battery watched; `available_j`, `reserve_j`: energy in it at the start, and not to be touched;
-    `model_sd`, `meter_sd`, `noise_sd`: relative standard deviations: of the model's total (the paper's 4 %), of the
-    meter (2 %) and of the power about its mean (4 %), the last over `correlation_s`, over which its deviations persist;
-    `confidence`: standard deviations by which a decision must be safe.
+    Parameters
+    ----------
+    expected : ExpectedRun
+        Of the battery watched.
+    available_j : float
+        Energy in the battery at the start.
+    reserve_j : float
+        Not to be touched.
+    model_sd, meter_sd, noise_sd : float
+        Relative standard deviations: of the model's total (the paper's 4 %), of the meter (2 %) and of the power about
+        its mean (4 %), the last over `correlation_s`.
+    correlation_s : float
+        Time over which deviations of the power persist.
+    confidence : float
+        Standard deviations by which a decision must be safe.
     """
 
     def __init__(
@@ -175,7 +186,11 @@ class OnlinePredictor:
         """One sample: time from the start (s), power of the battery (W), speed (m/s, sideways speed included).
 
         A power or a speed that is missing (nan, inf) counts as the one before; before the first power nothing counts.
-        Raises InputError: where the time does not increase.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            When the time does not increase.
         """
         if not math.isfinite(power_w):
             if self._time is None:
@@ -230,8 +245,17 @@ class OnlinePredictor:
     ) -> Iterator[Forecast]:
         """Samples of a log in columns; a forecast every `every_s` seconds and after the last sample.
 
-        `columns`: ``time_s``, ``power_<battery>_w`` or voltage and current, ``speed_m_s`` and perhaps
-        ``lateral_speed_m_s``. Raises InputError: where one is missing, or has another length than the time.
+        Parameters
+        ----------
+        columns : mapping
+            ``time_s``, ``power_<battery>_w`` or voltage and current, ``speed_m_s`` and perhaps ``lateral_speed_m_s``.
+        battery : str
+        every_s : float
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            Where a column is missing, or another length than the time.
         """
         time = np.asarray(_column(columns, "time_s"), dtype=float)
         if f"power_{battery}_w" in columns:

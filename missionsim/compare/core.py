@@ -90,11 +90,28 @@ def compare(
 ) -> Comparison:
     """Replay logs through a model and compare with what was measured.
 
-    `logs`: Runs, files or folders, one run each; large files are read in blocks. `robot`: sharpens the checks of the
-    logs and names the robot in the result. `plan`: the simulated mission that every log is a run of; `segments`: names
-    of its segments, for logs that name them; `mission`: its name. `by`: further log columns along which the error is
-    looked at. `on_run`: called with the name of each run when it is done. Raises InputError: for faults of the logs, or
-    nothing to compare.
+    Parameters
+    ----------
+    model : PowerModel
+    logs : Runs, files or folders
+        One run each; large files are read in blocks.
+    robot : RobotSpec, optional
+        Sharpens the checks of the logs and names the robot in the result.
+    plan : Timeline, optional
+        The simulated mission that every log is a run of.
+    segments : sequence of str
+        Names of the plan's segments, for logs that name them.
+    mission : str
+        The mission's name.
+    by : iterable of str
+        Further log columns along which the error is looked at.
+    on_run : callable, optional
+        Called with the name of each run when it is done.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Faults of the logs, or nothing to compare.
     """
     by = tuple(by)
     sums = Accumulator(by, still=None if plan is None else still_of(plan))
@@ -162,8 +179,17 @@ def compare_files(
     by: Iterable[str] = (),
     on_run: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Compare a robot (name, path or `RobotSpec`) with logs, and with a mission (every log is a run of it), which is
-    simulated with that robot, if one is given. `by`, `on_run`: see `compare`."""
+    """Compare a robot (name, path or `RobotSpec`) with logs, and with a simulated mission if one is given.
+
+    Parameters
+    ----------
+    robot : str, path-like or RobotSpec
+    logs : files or folders
+    mission : path-like, optional
+        Mission file that every log is a run of; it is simulated with `robot`.
+    by, on_run
+        See `compare`.
+    """
     from missionsim.inputs import load_mission, load_robot
     from missionsim.inputs.power import build_power_model
 

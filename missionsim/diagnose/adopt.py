@@ -74,8 +74,18 @@ class Adopted:
 
 
 def check_name(robot: RobotSpec, effect: str) -> None:
-    """Refuse an effect (id in the library, or name of one of the file's candidates) that neither the library nor the
-    robot file knows, before any log is read."""
+    """Refuse an effect that neither the library nor the robot file knows, before any log is read.
+
+    Parameters
+    ----------
+    robot : RobotSpec
+    effect : str
+        Id in the library, or name of one of the file's candidates.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+    """
     from missionsim.effects.library import get_effect
 
     if any(effect == spec.name for spec in robot.effects):
@@ -108,12 +118,30 @@ def adopt(
     force: bool = False,
     recalibrate: bool = True,
 ) -> Adopted:
-    """Fit an effect to the training runs of a split and write it into a robot file, as `diagnose` says it.
+    """Fit an effect to logs and write it into the text of a robot file, as `diagnose` says it.
 
-    `text`: the file, whose comments are kept; `robot`: the same, loaded. `effect`: see `check_name`. `force`: write it
-    even if the data do not support it. `recalibrate`: write the base parameters that were fitted with it. Raises
-    NotSignificant: the data do not support the effect, and `force` is not set. Raises InputError: for an unknown
-    effect, one that the file already holds, or one that these logs cannot test.
+    Parameters
+    ----------
+    text : str
+        Robot file; its comments are kept.
+    robot : RobotSpec
+        The same file, loaded.
+    split : Split
+        Its training runs are fitted.
+    effect : str
+        Id in the library, or name of one of the file's candidates.
+    battery : str
+    settings : Settings
+    force : bool
+        Write it even if the data do not support it.
+    recalibrate : bool
+        Write the base parameters that were fitted with it.
+    Raises
+    ------
+    NotSignificant
+        The data do not support the effect, and `force` is not set.
+    missionsim.errors.InputError
+        Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
     subject = Subject.of(robot)
     if battery not in robot.batteries:

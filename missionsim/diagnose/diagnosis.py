@@ -58,12 +58,31 @@ def diagnose_files(
 ) -> Diagnosis:
     """Diagnose from files.
 
-    `robot`: shipped robot or file. `logs`: log files or folders. `holdout`: see
-    `missionsim.diagnose.split.choose_split`. `mission`: the mission that every log is a drive of. `battery`: only this
-    one. `alpha`: family-wise rate of false alarms. `align`: find and apply delay and lag of the meter behind the
-    motion. `on_left_out`: called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`;
-    `on_remark` with what no run can tell, see `missionsim.runs.admit.unchanging`. Raises InputError: for faults in any
-    of the files, or where no battery can be diagnosed.
+    Parameters
+    ----------
+    robot : str or path
+        Shipped robot or file.
+    logs : sequence of str or path
+        Log files or folders.
+    holdout : optional
+        See `missionsim.diagnose.split.choose_split`.
+    mission : path, optional
+        The mission that every log is a drive of.
+    battery : str, optional
+        Only this one.
+    alpha : float
+        Family-wise rate of false alarms.
+    align : bool
+        Find and apply delay and lag of the meter behind the motion.
+    on_left_out : callable, optional
+        Called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`.
+    on_remark : callable, optional
+        Called with what no run can tell, see `missionsim.runs.admit.unchanging`.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For faults in any of the files, or where no battery can be diagnosed.
     """
     from missionsim.inputs.loading import load_robot
 
@@ -93,8 +112,19 @@ def diagnose(
     battery: str | None = None,
     settings: Settings | None = None,
 ) -> Diagnosis:
-    """Diagnose every battery that the logs measure; see `diagnose_files`. `timeline`: the simulated mission; of a split
-    nothing else is held out."""
+    """Diagnose every battery that the logs measure; see `diagnose_files`.
+
+    Parameters
+    ----------
+    subject : Subject
+    logs : sequence of Run, or Split
+        Runs, or what is fitted and what is held out of them.
+    holdout, battery
+        As for `diagnose_files`; of a split nothing else is held out.
+    timeline : Timeline, optional
+        The simulated mission.
+    settings : Settings, optional
+    """
     settings = settings or Settings()
     split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.model)
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))

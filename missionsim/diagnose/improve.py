@@ -285,7 +285,17 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     """Improve the text of a robot file for one battery.
 
     What a diagnosis names goes in together, with the numbers that it names; the error of each step is that of a robot
-    file, as `missionsim compare` measures it. `ask`: whether to add a finding of a diagnosis.
+    file, as `missionsim compare` measures it.
+
+    Parameters
+    ----------
+    text : str
+        Robot file.
+    split : Split
+    battery : str
+    settings : Settings
+    ask : callable
+        ``(finding, diagnosis) -> bool``: whether to add it.
     """
     from missionsim.inputs.loading import robot_from_text
 

@@ -62,12 +62,27 @@ def simulate(
 ) -> RunResult:
     """Simulate one mission.
 
-    `values`: numbers that differ from the files: parameters of the power model by ``battery/name`` (``robot/c3``), or
-    any number by its path in the mission file, with prefix ``robot.`` or ``environment.`` in the others. `rng`: for
-    what the mission itself leaves to chance (repeated inspections). `trace`: keep the intervals; without them only
-    totals remain. `plan`, `model`: where they are known already. Raises InputError: where the mission cannot be
-    simulated as asked.
+    Parameters
+    ----------
+    mission : MissionSpec
+        From `load_mission`.
+    values : mapping, optional
+        Numbers that differ from the files: parameters of the power model by ``battery/name`` (``robot/c3``), or any
+        number by its path in the mission file, with prefix ``robot.`` or ``environment.`` in the others.
+    rng : numpy.random.Generator, optional
+        For what the mission itself leaves to chance (repeated inspections).
+    trace : bool
+        Keep the intervals; without them only totals remain.
+    plan, model : optional
+        Where they are known already.
 
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the mission cannot be simulated as asked.
+
+    Notes
+    -----
     A mission is executed first as if its batteries were bottomless. Only if one of them then comes to a threshold is
     it executed again, with an interrupt at that very instant; the first execution tells by how much the whole mission
     overdraws the battery.

@@ -80,9 +80,21 @@ class Calibration:
 
 
 def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = None) -> Calibration:
-    """Fit every parameter of a robot (shipped, or a file) that the logs say something about. `battery`: only this one;
-    by default every one that the logs measure and whose model they can drive. Raises InputError: where none can be
-    fitted."""
+    """Fit every parameter of a robot that the logs say something about.
+
+    Parameters
+    ----------
+    robot : str or path
+        Shipped robot or file.
+    logs : sequence of Run
+    battery : str, optional
+        Only this one; by default every battery that the logs measure and whose model they can drive.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where no battery can be fitted.
+    """
     from missionsim.inputs import edit
     from missionsim.inputs.loading import load_robot, robot_from_text
     from missionsim.inputs.power import build_power_model
@@ -144,8 +156,13 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     """Fit a base formula to logs and write the robot file of it.
 
     Every component with an ``on_…`` column that changes gets a power; standing still gets a level of its own where the
-    logs show it. Raises InputError: for a formula that cannot be read, that names columns which the logs lack, or whose
-    parameters the logs cannot tell apart.
+    logs show it.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a formula that cannot be read, that names columns which the logs lack, or whose parameters the logs cannot
+        tell apart.
     """
     if not any(robot.battery in log.power_w for log in logs):
         measured = sorted({name for log in logs for name in log.power_w})

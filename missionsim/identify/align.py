@@ -154,9 +154,16 @@ def integral_curves(columns: Sequence[Array]) -> Array:
     """Cumulative integral of columns (unit step) of each run as a cubic inside each row, runs one after the other.
 
     Its slope at a row's edge is the mean of the neighbours, limited so that the cubic stays monotone; a linear ramp
-    between rows is thereby reproduced although each row holds only its mean. `columns`: of each run, shape (k, rows).
-    Gives the integral and its slope at each edge, shape (2, edges of the rows of all runs, k); a run has one edge more
-    than rows.
+    between rows is thereby reproduced although each row holds only its mean.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray, shape (k, rows of the run)
+
+    Returns
+    -------
+    ndarray, shape (2, edges of the rows of all runs, k)
+        The integral and its slope at each edge; a run has one edge more than rows.
     """
     out = np.empty((2, sum(values.shape[1] + 1 for values in columns), columns[0].shape[0]))
     begin = 0

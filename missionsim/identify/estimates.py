@@ -179,8 +179,14 @@ def pairs(model: Model) -> Alike:
 def estimated(
     choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Alike, unnamed: Collection[str]
 ) -> tuple[Finding, ...]:
-    """Every effect in the model but the `unnamed` ones, the one with the largest gain first. `shapes`: refitted shape
-    parameters of each effect, with ``.low`` and ``.high`` for their limits; `alike`: how well each is told from others.
+    """Every effect in the model but the `unnamed` ones, the one with the largest gain first.
+
+    Parameters
+    ----------
+    shapes : mapping
+        Refitted shape parameters of each effect, with ``.low`` and ``.high`` for their limits.
+    alike : sequence of Pair
+        How well each effect is told from others.
     """
     model, constraints = choice.model, choice.model.constraints
     value, _ = model.estimate(model.chosen)

@@ -157,8 +157,15 @@ def _chance_of_jackknife(t: float, leverage: Array, inflation: Array, known: flo
 
 
 def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float]:
-    """Whether the squared power error of runs left out of a least-squares fit is smaller with some columns than without
-    them; one-sided p-value, over runs, of "their energy error is hardly larger"."""
+    """Whether runs left out of a least-squares fit are predicted better with some columns than without them.
+
+    Returns
+    -------
+    bool
+        Whether their squared power error is smaller.
+    float
+        One-sided p-value, over runs, of "their energy error is hardly larger".
+    """
     squares = LeastSquares.of(model.design)
     rest = [c for c in model.chosen if c not in columns]
     with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)

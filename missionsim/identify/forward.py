@@ -136,9 +136,20 @@ class Choice:
 
 
 def forward(source: Source, given: Sequence[str] | None = None, *, near: bool = False) -> Forward | None:
-    """Select effects by the prediction of left-out runs, or fit given ones; None where the base is near enough for the
-    finer search, unless `near` is no reason to leave it. Raises ValueError: if a given effect is unknown or has no
-    column that acts in these runs."""
+    """Select effects by the prediction of left-out runs, or fit given ones.
+
+    `near`: whether a base that is near enough is no reason to leave it.
+
+    Returns
+    -------
+    Forward or None
+        None where the base is near enough for the finer search.
+
+    Raises
+    ------
+    ValueError
+        If a given effect is unknown or has no column that acts in these runs.
+    """
     clock = Clock.as_logged(len(source.runs))
     squares = LeastSquares.of(source.design(clock)) if near else far_from_right(source)
     if squares is None:

@@ -70,9 +70,17 @@ def identify(
 ) -> Identification:
     """Find the effects that the base model misses.
 
-    `runs`: measured runs of one battery with base model, its gradient and the candidate columns. `candidates`: effects
-    of the library. `prior_sd`: relative standard deviation of each base parameter (3 % where absent). Raises
-    ValueError: without a run of at least eight analysis intervals, or with arrays of different lengths.
+    Parameters
+    ----------
+    runs : measured runs of one battery with base model, its gradient and the candidate columns
+    candidates : effects of the library
+    prior_sd : relative standard deviation of each base parameter (3 % where absent)
+    settings : choices of the method
+
+    Raises
+    ------
+    ValueError
+        Without a run of at least eight analysis intervals, or with arrays of different lengths.
     """
     return _told(choose(make_source(runs, candidates, prior_sd, settings)), len(runs))
 
@@ -85,7 +93,12 @@ def fit_effects(
     settings: Settings = Settings(),  # noqa: B008 (frozen)
 ) -> Identification:
     """Fit a given set of effects (no search, none demoted); of a grid of shapes the best column is taken and refitted.
-    Raises ValueError: if an effect is not among the candidates or never acts in these runs."""
+
+    Raises
+    ------
+    ValueError
+        If an effect is not among the candidates or never acts in these runs.
+    """
     return _told(forced(make_source(runs, candidates, prior_sd, settings), effects), len(runs), given=True)
 
 

@@ -55,8 +55,16 @@ class Model:
     def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients that a robot file can hold: relative shifts of the base, then shares of columns.
 
-        They give the measured energy of the fitted runs together (see `LeastSquares.unbiased`). Values (shape (q +
-        chosen,)) and covariance: from leaving runs out where least squares is used, of the noise model elsewhere.
+        They give the measured energy of the fitted runs together (see `LeastSquares.unbiased`).
+
+        Parameters
+        ----------
+        chosen : columns in the model
+
+        Returns
+        -------
+        value : shape (q + chosen,)
+        covariance : from leaving runs out where least squares is used, of the noise model elsewhere
         """
         squares = self.squares or LeastSquares.of(self.design)
         value, covariance = self.gram.joint(chosen, squares.q) if self.squares is None else squares.jackknife(chosen)

@@ -154,8 +154,13 @@ def _trials(model: Model, refused: dict[int, Evidence]) -> list[tuple[int, ...]]
 
 
 def forced(source: Source, effects: Sequence[str]) -> Choice:
-    """Fit given effects without a search: the best column of each grid, all levels of a label that act. Raises
-    ValueError: if an effect is unknown or has no column that acts in these runs."""
+    """Fit given effects without a search: the best column of each grid, all levels of a label that act.
+
+    Raises
+    ------
+    ValueError
+        If an effect is unknown or has no column that acts in these runs.
+    """
     selected = forward(source, effects)
     if selected is not None:
         return _by_prediction(source, selected)

@@ -19,13 +19,29 @@ def decide(
     execution: Sequence[Finding] = (),
     averages: Sequence[Structure] = (),
 ) -> Verdict:
-    """The verdict on a battery: ``unexplained_structure`` where something remains and no name holds against it;
-    ``ambiguous`` where an effect has rivals; ``effects_found``; ``nothing_missing``.
+    """The verdict on a battery.
 
-    `effects`: those that are named. `structures`: what remains in the residual. `demoted`: effects that the model keeps
-    and does not name because of a structure. `law`: whether a law that the library does not hold describes what
-    remains. `execution`: how the robot drove otherwise than planned. `averages`: errors of averages over runs or over
-    one kind of motion; beside an effect they are told, but do not outweigh it: both tests are coarse.
+    Parameters
+    ----------
+    effects : sequence of Finding
+        Effects that are named.
+    structures : sequence of Structure
+        What remains in the residual.
+    demoted : sequence of str
+        Effects that the model keeps and does not name because of a structure.
+    law : bool
+        Whether a law that the library does not hold describes what remains.
+    execution : sequence of Finding
+        How the robot drove otherwise than planned.
+    averages : sequence of Structure
+        Errors of averages over runs or over one kind of motion. Beside an effect they are told, but do not outweigh it:
+        both tests are coarse.
+
+    Returns
+    -------
+    str
+        ``unexplained_structure`` where something remains and no name holds against it; ``ambiguous`` where an effect
+        has rivals; ``effects_found``; ``nothing_missing``.
     """
     # a name beside something louder that puts it in doubt would be a confident guess
     if structures and (demoted or not effects):

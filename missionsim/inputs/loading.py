@@ -41,8 +41,20 @@ def remembered() -> Iterator[None]:
 
 
 def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> RobotSpec:
-    """Load a shipped robot by name (``pioneer3dx``), or a robot file. `overrides`: values to set first, such as
-    ``("batteries.robot.capacity", "100 Wh")``. Raises InputError: with all faults of the file."""
+    """Load a shipped robot by name, or a robot file.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        ``pioneer3dx`` or a path.
+    overrides : sequence of (path, value)
+        Values to set first, such as ``("batteries.robot.capacity", "100 Wh")``.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
     return _finished(robot_file(name_or_path), RobotSpec, overrides)
 
 
@@ -64,8 +76,22 @@ def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override]
 def load_mission(
     path: str | os.PathLike[str], overrides: Sequence[Override] = (), robot: RobotLike | None = None
 ) -> MissionSpec:
-    """Load a mission with its robot and environment. `overrides`: what to set first; ``robot.…`` and ``environment.…``
-    lead into those files; `robot`: in place of the mission's own. Raises InputError: with all faults of all files."""
+    """Load a mission with its robot and environment.
+
+    Parameters
+    ----------
+    path : path-like
+        Mission file.
+    overrides : sequence of (path, value)
+        What to set first; ``robot.…`` and ``environment.…`` lead into those files.
+    robot : str, path-like or RobotSpec, optional
+        Robot in place of the mission's own.
+
+    Raises
+    ------
+    InputError
+        All faults of all files.
+    """
     return _finished(path, MissionSpec, overrides, robot)
 
 

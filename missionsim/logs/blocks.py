@@ -29,13 +29,28 @@ if TYPE_CHECKING:
 def iter_blocks(
     path: PathLike, *, rows: int = 500_000, columns: Sequence[str] | None = None, robot: RobotSpec | None = None
 ) -> Iterator[Run]:
-    """Read a long log in blocks, in bounded memory: each block is a `Run`, together they are the whole log. Time,
-    durations and energy differences at the edges take the neighbouring rows into account; checks of units and clocks
-    look at the first block only.
+    """Read a long log in blocks, in bounded memory: each block is a `Run`, together they are the whole log.
 
-    `rows`: of a block (CSV: at least; the last block may be shorter); `columns`: of Parquet, all by default; `time_s`
-    and the batteries' columns are always read; `robot`: see `read_log`. Raises InputError: as `read_log`, and where
-    time runs backwards from one block to the next.
+    Parameters
+    ----------
+    path : path-like
+    rows : int
+        Rows of a block (CSV: at least; the last block may be shorter).
+    columns : sequence of str, optional
+        Parquet columns to read; all by default. `time_s` and the batteries' columns are always read.
+    robot : RobotSpec, optional
+        See `read_log`.
+
+    Yields
+    ------
+    Run
+        Time, durations and energy differences at the edges take the neighbouring rows into account. Checks of units
+        and clocks look at the first block only.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        As `read_log`; time that runs backwards from one block to the next.
     """
     path = Path(path)
     reader = table_reader(path)
@@ -90,8 +105,21 @@ def _join(parts: list[ColumnData]) -> ColumnData:
 
 
 def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a log; the suffix decides between ``.parquet`` and ``.csv``. A file that exists is replaced; `metadata`
-    goes into the schema of a Parquet file. Raises InputError: where it is another suffix."""
+    """Write a log; the suffix decides between ``.parquet`` and ``.csv``.
+
+    Parameters
+    ----------
+    log : Run
+    path : Path
+        Replaced if it exists.
+    metadata : mapping, optional
+        Goes into the schema of a Parquet file.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Another suffix.
+    """
     if path.suffix not in (".csv", ".parquet"):
         got, told = path.suffix or "no suffix", "a log is written as CSV or Parquet"
         raise InputError.single(told, file=str(path), got=got, allowed=".csv, .parquet")

@@ -33,11 +33,24 @@ _ELECTRIC = ("power_", "voltage_", "current_", "energy_")
 
 
 def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
-    """Read one measured log, CSV with a header or Parquet, with the columns of the glossary, and check it.
+    """Read one measured log (CSV or Parquet) and check it.
 
-    `robot`: that drove; its batteries, components and top speed sharpen the checks. Gives a run with `remarks` that say
-    what was wrong and what was done. Raises InputError: where the file cannot be read, a required column is missing, a
-    cell is not a number, or time restarts.
+    Parameters
+    ----------
+    path : path-like
+        A CSV file with a header, or a Parquet file, with the columns of the glossary.
+    robot : RobotSpec, optional
+        The robot that drove; its batteries, components and top speed sharpen the checks.
+
+    Returns
+    -------
+    Run
+        With `remarks` that say what was wrong and what was done.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        The file cannot be read, a required column is missing, a cell is not a number, or time restarts.
     """
     raw = read_raw(path)
     TimeAxis().apply(raw)
@@ -54,8 +67,13 @@ def read_logs(
     """Read several logs; a folder stands for every ``.csv``, ``.tsv`` and ``.parquet`` in it, by name.
 
     Runs of the same name (from two folders) get the folder's name in front. Files of the same content are one run, and
-    a remark of it names them. What `each` makes of a log is kept in its place. Raises InputError: with the faults of
-    all files at once; where `left_out` is given and some file is good, they are told there, a line a file.
+    a remark of it names them. What `each` makes of a log is kept in its place.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With the faults of all files at once; where `left_out` is given and some file is good, they are told there, a
+        line a file.
     """
     logs: list[Run] = []
     faults: list[Fault] = []

@@ -56,11 +56,22 @@ def multicore_power(
 ) -> Array:
     """Power of a multi-core board, W (rover paper, Eq. 6): P_board + Σ_i [P_idle,i(f) + P_work,i(f) U_i].
 
-    `freq_hz`: clock of all cores; `utilisation`: U of each busy core, 0 to 1, the others idle; `board_idle_w`: the
-    board without its cores (with or without the camera, as the caller divides it); `core_work_w`, `core_idle_w`: P_work
-    and P_idle of one core at the highest clock, both scale as f V², the idle part above its floor, `core_idle_floor_w`:
-    leakage at any clock; `cores`, `cores_busy`: how many are on, and run the applications; `low_hz`, `high_hz`,
-    `low_v`, `high_v`: ends of the clock range and the supply voltages there.
+    Parameters
+    ----------
+    freq_hz : array_like
+        Clock of all cores, Hz.
+    utilisation : array_like
+        U of each busy core, 0 to 1; the other cores idle.
+    board_idle_w : array_like
+        The board without its cores (with or without the camera, as the caller divides it), W.
+    core_work_w, core_idle_w : array_like
+        P_work and P_idle of one core at the highest clock, W; both scale as f V², the idle part above its floor.
+    core_idle_floor_w : array_like
+        Leakage of an idle core at any clock, W.
+    cores, cores_busy : array_like
+        Number of cores on, and of those that run the applications.
+    low_hz, high_hz, low_v, high_v : array_like
+        Ends of the clock range and the supply voltages there.
     """
     # f V² / (f_max V_max²), CMOS switching; the voltage goes straight between the ends of the clock range (assumed)
     share = (f64(freq_hz) - f64(low_hz)) / (f64(high_hz) - f64(low_hz))
@@ -84,9 +95,18 @@ def loop_time(
     """Time to process one batch of events (PLPT), s: T = T₀ + s_c (w₀ + w₁ v) / f.
 
     The paper says that the work rises with the speed and with the environment's complexity and falls with the clock;
-    it prints no numbers. `fixed_s`: T₀, memory-bound time that no clock shortens; `complexity`: s_c, work relative to
-    the paper's high-complexity environment (1 = high); `cycles`: w₀ per batch; `cycles_per_speed`: w₁ per batch and
-    m/s.
+    it prints no numbers. T₀ is memory-bound time that no clock shortens.
+
+    Parameters
+    ----------
+    freq_hz, speed_m_s : array_like
+        Clock and speed of the robot.
+    complexity : array_like
+        s_c, work relative to the paper's high-complexity environment (1 = high).
+    fixed_s : array_like
+        T₀, s.
+    cycles, cycles_per_speed : array_like
+        w₀ (cycles per batch) and w₁ (cycles per batch and m/s).
     """
     work = f64(cycles) + f64(cycles_per_speed) * np.abs(f64(speed_m_s))
     return f64(fixed_s) + f64(complexity) * work / f64(freq_hz)

@@ -143,11 +143,20 @@ class Meter(NamedTuple):
 
 
 def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
-    """Mean over each row of what a meter shows of a power [W], shape (..., n): ``lag dy/dt + y = p(t − delay)`` in
-    closed form; what began and ended within the rows keeps its energy.
+    """Mean over each row of what a meter shows of a power.
 
-    `power_w` (shape (..., n)): held from half-way between the rows to half-way [W]; before the first and after the last
-    row as in them. `time_s` (shape (n,)): increasing [s].
+    Parameters
+    ----------
+    power_w : ndarray, shape (..., n)
+        Held from half-way between the rows to half-way [W]; before the first and after the last row as in them.
+    time_s : ndarray, shape (n,)
+        Increasing [s].
+    meter : Meter
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+        ``lag dy/dt + y = p(t − delay)`` in closed form [W]; what began and ended within the rows keeps its energy.
     """
     if len(time_s) < 2 or meter == Meter():
         return power_w

@@ -30,9 +30,20 @@ def wheel_speeds(
     *,
     half_sum_m: ArrayLike = 0.0,
 ) -> tuple[Array, Array, Array, Array]:
-    """Peripheral speeds u_i of the four wheels, m/s: u_i = v_x ∓ v_y ∓ (l_x + l_y) ω (inverse kinematics). The motion
-    is that of the body's centre; `half_sum_m`: l_x + l_y, half the wheelbase plus half the track. Gives front-left,
-    front-right, rear-left, rear-right."""
+    """Peripheral speeds u_i of the four wheels, m/s: u_i = v_x ∓ v_y ∓ (l_x + l_y) ω (inverse kinematics).
+
+    Parameters
+    ----------
+    speed_m_s, lateral_speed_m_s, yaw_rate_rad_s : array_like
+        Planar motion of the body's centre.
+    half_sum_m : array_like
+        l_x + l_y, half the wheelbase plus half the track, m.
+
+    Returns
+    -------
+    tuple of four arrays
+        Front-left, front-right, rear-left, rear-right.
+    """
     forward, left = f64(speed_m_s), f64(lateral_speed_m_s)
     turning = f64(half_sum_m) * f64(yaw_rate_rad_s)
     speeds = [forward + s * left + t * turning for s, t in zip(_SIDEWAYS, _TURNING, strict=True)]
@@ -157,8 +168,20 @@ def pulse_power(accel_m_s2: Value, lateral_accel_m_s2: Value, pulse_w: Value) ->
 
 
 def minimum_jerk(time_s: ArrayLike, *, speed_m_s: float, duration_s: float) -> tuple[Array, Array]:
-    """Speed (m/s) and acceleration (m/s²) of a start along a minimum-jerk curve (quintic position → speed
-    10τ³−15τ⁴+6τ⁵). `time_s`: from the start; `speed_m_s`, `duration_s`: final speed, then held, and the time to it."""
+    """Speed and acceleration of a start along a minimum-jerk curve (quintic position → speed 10τ³−15τ⁴+6τ⁵).
+
+    Parameters
+    ----------
+    time_s : array_like
+        Time from the start, s; after `duration_s` the speed is held.
+    speed_m_s, duration_s : float
+        Final speed and the time to reach it.
+
+    Returns
+    -------
+    tuple of arrays
+        Speed (m/s) and acceleration (m/s²).
+    """
     tau = np.clip(f64(time_s) / duration_s, 0.0, 1.0)
     speed = speed_m_s * tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
     accel = speed_m_s / duration_s * 30.0 * tau**2 * (1.0 - tau) ** 2

@@ -118,9 +118,21 @@ def recovered_power(power_w: Value, drive_w: Value, regeneration: Value) -> Valu
     """What a term that may be negative leaves on the battery, given the drive's other power.
 
     Going downhill or braking first relieves the drive of `drive_w`; of what is beyond, only the fraction
-    `regeneration` returns to the battery and the rest is braked away. `power_w`: the term, negative when it helps [W];
-    `drive_w`: power that the drive takes without it [W]; `regeneration`: from 0 to 1. Gives the term's part of the
-    battery power [W], never below ``−drive − regeneration · surplus``.
+    `regeneration` returns to the battery and the rest is braked away.
+
+    Parameters
+    ----------
+    power_w : float or ndarray
+        The term, negative when it helps [W].
+    drive_w : float or ndarray
+        The power that the drive takes without it [W].
+    regeneration : float
+        Fraction of the surplus given back, 0 to 1.
+
+    Returns
+    -------
+    float or ndarray
+        The term's part of the battery power [W], never below ``−drive − regeneration · surplus``.
     """
     floor = -np.maximum(drive_w, 0.0)
     return np.maximum(power_w, floor) + regeneration * np.minimum(power_w - floor, 0.0)
@@ -145,10 +157,23 @@ def relieved_powers(
 
     Braking on the way uphill first pays for the lifting: the forces add up at the wheels before the brake takes what is
     beyond, so the limit holds for the sum, whatever the order. What is braked away is taken from the negative terms in
-    proportion. `powers_w`: the terms, negative when they help [W]; `drive_w`: power that the drive takes without them
-    [W]; `regeneration`: fraction of the surplus given back, 0 to 1; of several terms, each its own, in the part it has
-    in them; `parts`: the part of `drive_w` that each term can relieve, by default all of it. Gives their parts of the
-    battery power [W], in the same order.
+    proportion.
+
+    Parameters
+    ----------
+    powers_w : sequence of float or ndarray
+        The terms, negative when they help [W].
+    drive_w : float or ndarray
+        The power that the drive takes without them [W].
+    regeneration : float or sequence of float
+        Fraction of the surplus given back, 0 to 1; of several terms, each its own, in the part it has in them.
+    parts : sequence of float or ndarray, optional
+        The part of `drive_w` that each term can relieve, all of it where not given.
+
+    Returns
+    -------
+    list of float or ndarray
+        Their parts of the battery power [W], in the same order.
     """
     parts = [1.0] * len(powers_w) if parts is None else parts
     back = list(regeneration) if isinstance(regeneration, Sequence) else [regeneration] * len(powers_w)
@@ -176,9 +201,20 @@ def optimal_speed(c2: Value, c4: Value, other_w: Value = 0.0) -> Value:
 
 
 def speed_of_least_energy(constant_w: float, speeds_m_s: ArrayLike, power_w: ArrayLike) -> float:
-    """Speed [m/s] at which (constant + power(v)) / v is least on a grid, refined by a parabola through the three best
-    points; an end of the grid where the least lies there. `constant_w`: power that runs whatever the speed [W];
-    `speeds_m_s`, `power_w` (shape (n,)): positive speeds, increasing, and the motion power at each [W]."""
+    """Speed at which (constant + power(v)) / v is least on a grid, refined by a parabola through the three best points.
+
+    Parameters
+    ----------
+    constant_w : float
+        Power that runs whatever the speed, W.
+    speeds_m_s, power_w : array_like, shape (n,)
+        Grid of positive speeds (m/s, increasing) and the motion power at each (W).
+
+    Returns
+    -------
+    float
+        m/s; an end of the grid where the least lies there.
+    """
     speeds = f64(speeds_m_s)
     energy = (constant_w + f64(power_w)) / speeds
     best = int(np.argmin(energy))
@@ -193,8 +229,16 @@ def relocalisation_stretch(spacing_m: ArrayLike, *, drift: ArrayLike, settle_m: 
     """Path stretch of a robot that drifts and is put right at markers: 1 + drift² L / (2 s).
 
     Between markers L apart the position drifts sideways by drift · L; back on the path within the settling length s it
-    drives √(s² + (drift L)²) instead of s, about (drift L)² / (2 s) more on each L. `spacing_m`: L; `drift`: sideways,
-    per metre driven; `settle_m`: s, on which an offset is driven off.
+    drives √(s² + (drift L)²) instead of s, about (drift L)² / (2 s) more on each L.
+
+    Parameters
+    ----------
+    spacing_m : array_like
+        Distance between markers, m.
+    drift : array_like
+        Sideways drift per metre driven.
+    settle_m : array_like
+        Length on which an offset is driven off, m.
     """
     offset = f64(drift) * f64(spacing_m)
     return 1.0 + offset**2 / (2.0 * f64(settle_m) * f64(spacing_m))

@@ -21,9 +21,15 @@ Table = Mapping[str, Sequence[Any]]
 
 
 def tables(result: RunResult) -> dict[str, Table]:
-    """All tables of a run: ``intervals`` (time, covariates, mean power of each term and charge), ``segments``,
-    ``energy`` (segment × component × term, cells that add up to the drain), ``summary`` (one row a battery), ``edges``
-    (one row an edge of the map driven)."""
+    """All tables of a run.
+
+    Returns
+    -------
+    dict
+        ``intervals`` (time, covariates, mean power of each term and charge), ``segments``, ``energy`` (segment ×
+        component × term, cells that add up to the drain), ``summary`` (one row a battery), ``edges`` (one row an edge
+        of the map driven).
+    """
     made: dict[str, Table] = {
         "intervals": intervals_table(result),
         "segments": segments_table(result),
@@ -148,8 +154,21 @@ Format = Literal["csv", "parquet"]
 
 
 def write_results(result: RunResult, folder: str | Path, format: Format = "csv") -> list[Path]:
-    """Write all tables of a run, ``run.json`` and ``provenance.json`` into a folder, which is made if it is not there;
-    gives what was written."""
+    """Write all tables of a run, ``run.json`` and ``provenance.json`` into a folder.
+
+    Parameters
+    ----------
+    result : RunResult
+    folder : path-like
+        Made if it is not there.
+    format : str
+        ``csv`` or ``parquet``.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
     folder = Path(folder)
     written = [write_table(table, folder / f"{name}.{format}") for name, table in tables(result).items()]
     for name, data in (("run", result.summary()), ("provenance", dict(result.provenance))):
