@@ -87,7 +87,6 @@ def imagined_run(
 def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained | None) -> tuple[Experiment, ...]:
     """What tells the effects apart that these data cannot; else, of a structure that is `left`, what shows its form."""
     proposed: list[Experiment] = []
-    nan = float("nan")
     # no drive tells a load from an effect where its switch is not logged or its column stuck
     known = {candidate.effect for candidate in bench.features.candidates}
     stuck = {name for candidate in bench.features.candidates for name in candidate.never_on}
@@ -100,7 +99,7 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             do = f"any run again with {switches} in the log, which no drive can tell"
             if all(name in stuck for name in unlogged):
                 do = f"any run again in which {switches} changes: it is 0 in every row here, as a stuck column is"
-            proposed.append(Experiment((effect.effect, *unlogged), do, nan, nan, nan, 0.0))
+            proposed.append(Experiment((effect.effect, *unlogged), do))
         if rivals:
             proposed += propose(bench, (effect.effect, *rivals))
     if not proposed and left is not None:
@@ -110,11 +109,12 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             form = "to see whether what no column shows is there at rest too, or only in motion"
         if "run" in on:
             do = "note what differed between these runs (floor, tyres, load, weather), and log it as a column"
-            proposed.append(Experiment(on, do, nan, nan, nan, 0.0))
+            proposed.append(Experiment(on, do))
         names = [name for covariate in on for name in _SHOWS.get(covariate, ())]
         for one in [m for m in library(bench.site) if m.name in names][:2]:
             parts = tuple(part.to_json() for part in one.parts)
-            proposed.append(Experiment(on, f"{one.do}, {form}", nan, nan, nan, one.duration_s / 60.0, parts))
+            told = f"{one.do}, {form}"
+            proposed.append(Experiment(on, told, minutes=one.duration_s / 60.0, manoeuvre=parts))
     return tuple(proposed)
 
 
@@ -130,8 +130,7 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
         return []
     now = worst_lead(bench, constraints, bench.model.gram, names)
     if now >= ENOUGH_NATS:  # by such a lead they would have been told apart: what no column shows stands against it
-        nan = float("nan")
-        return [Experiment(tuple(names), ELSEWHERE, nan, nan, nan, 0.0)]
+        return [Experiment(tuple(names), ELSEWHERE)]
     about = {c.covariate for c in bench.features.candidates if c.effect in names} - {"speed_m_s", ""}
     scored = []
     for manoeuvre in library(bench.site):

@@ -178,9 +178,8 @@ def sure(battery: BatteryDiagnosis) -> str:
     form = "its form is an approximation within the band"
     if len(one.laws) > 1:
         form = f"{len(one.laws)} forms fit alike, so trust the curve and its band, not one formula"
-    left_out = "left-out runs" if len(battery.runs) > 1 else "left-out parts of the run"
     return (
-        f"{told}; {form}. {one.better} of {one.runs} {left_out} in which it acts are predicted better; "
+        f"{told}; {form}. {one.better} of {one.runs} left-out {battery.parts} in which it acts are predicted better; "
         f"{one.tried:,} forms were tried, and chance is charged for all."
     )
 
@@ -208,8 +207,7 @@ def errors(battery: BatteryDiagnosis) -> str:
         if law is None or not math.isfinite(law.left_out_rmse_w[1]):
             return ""
         before, after = map(watts, law.left_out_rmse_w)
-        what = "runs" if len(battery.runs) > 1 else "parts of the run"
-        return f"On {what} left out one at a time, the power error falls from {before} to {after}."
+        return f"On {battery.parts} left out one at a time, the power error falls from {before} to {after}."
     given, base, with_it = bars_of(battery.heldout)
     if law is None and not battery.effects:
         return base_note(given, base)

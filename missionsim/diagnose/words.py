@@ -101,9 +101,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         for one in battery.candidates
         if one.doubtful_share is not None
     ]
-    what = "runs" if len(battery.runs) > 1 else "parts of the run"
     for law in battery.proposed_laws:
-        lines += [("LAW", line) for line in _law_lines(law, what)]
+        lines += [("LAW", line) for line in _law_lines(law, battery.parts)]
         lines += [("NEXT", law.experiment)] if law.experiment else []
     lines += [("NEXT", next_line(experiment)) for experiment in battery.next_experiments]
     if unsure and not battery.next_experiments:
@@ -183,8 +182,8 @@ def found_line(effect: Finding) -> str:
     )
 
 
-def _law_lines(law: Proposal, what: str) -> list[str]:
-    """The forms of a proposed law, the plainest first, and `what` left out they rest on."""
+def _law_lines(law: Proposal, parts: str) -> list[str]:
+    """The forms of a proposed law, the plainest first, and the `parts` left out that they rest on."""
     lines = []
     for number, one in enumerate(law.laws, 1):
         behind = "" if one.behind_nats < 0.05 else f"; {one.behind_nats:.0f} nats behind"
@@ -193,7 +192,7 @@ def _law_lines(law: Proposal, what: str) -> list[str]:
     before, after = law.left_out_rmse_w
     rests = f"rise of {law.rise_nats:.0f} nats where {law.penalty_nats + 6:.0f} are asked, of {law.tried:,} forms"
     if math.isfinite(after):
-        rests += f"; {what} left out one at a time: power RMSE {rounded(before)} → {watts(after)}"
+        rests += f"; {parts} left out one at a time: power RMSE {rounded(before)} → {watts(after)}"
     return [*lines, rests]
 
 

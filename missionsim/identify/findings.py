@@ -179,12 +179,12 @@ class Experiment(Record):
     separates: tuple[str, ...]
     do: str
     """In words."""
-    expected_power: float
-    """Probability that it resolves the question."""
-    separation_now: float
-    separation_after: float
+    expected_power: float = float("nan")
+    """Probability that it resolves the question, where that is foretold."""
+    separation_now: float = float("nan")
+    separation_after: float = float("nan")
     """Both: expected lead [nats] before and after."""
-    minutes: float
+    minutes: float = 0.0
     manoeuvre: tuple[Mapping[str, Any], ...] = ()
     """The same for machines, part after part."""
 
@@ -268,6 +268,11 @@ class BatteryDiagnosis(Findings):
     """Clock of meter and motion that was found, for comparing other models at the same one."""
     aligned: bool = True
     """Whether the clocks were looked at; else they are as logged."""
+
+    @property
+    def parts(self) -> str:
+        """What is left out one at a time, in words."""
+        return "runs" if len(self.runs) > 1 else "parts of the run"
 
     def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
