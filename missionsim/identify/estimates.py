@@ -185,7 +185,7 @@ def estimated(
     ----------
     shapes : mapping
         Refitted shape parameters of each effect, with ``.low`` and ``.high`` for their limits.
-    alike : sequence of Pair
+    alike : Alike
         How well each effect is told from others.
     """
     model, constraints = choice.model, choice.model.constraints
