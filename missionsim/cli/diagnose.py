@@ -11,19 +11,17 @@ from missionsim import __version__
 from missionsim.cli.options import TERMINAL, OutPage, Output, RobotFile, Search, tell_left_out
 from missionsim.diagnose import diagnose_files, sentences, words
 from missionsim.diagnose.adopt import NotSignificant, adopt, check_name
-from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.improve import improve as run_improve
-from missionsim.diagnose.proposed import called, check_formula, formula_of, proposed_laws, with_candidate
+from missionsim.diagnose.proposed import called, check_formula
 from missionsim.diagnose.sentences import worse
-from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor
 from missionsim.diagnose.words import heldout_line
 from missionsim.errors import InputError, visible
 from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
-from missionsim.inputs.loading import load_robot, robot_from_text
+from missionsim.inputs.loading import load_robot
 from missionsim.numerals import bare, meter_clock, rounded, watts
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
@@ -263,15 +261,11 @@ def add_effect(
     motors = spec.motion.battery if spec.motion is not None else ""
     chosen = search.battery or (motors if motors in measured else measured[0])
     text = robot_text(search.robot)
-    if formula is not None:
-        if formula.strip().isdigit():  # one of the forms that diagnose proposes
-            seen = examine(Subject.of(spec), Split(split.train, (), split.how), chosen, search.settings)
-            formula = formula_of(proposed_laws(seen.found, seen.features.covariates), formula)
-        text, effect = with_candidate(text, chosen, formula)
-        spec = robot_from_text(text)
-    assert effect is not None
+    options = {"formula": formula is not None, "force": force, "recalibrate": not keep_base}
+    asked = formula if effect is None else effect
+    assert asked is not None
     try:
-        made = adopt(text, spec, split, effect, chosen, search.settings, force=force, recalibrate=not keep_base)
+        made = adopt(text, spec, split, asked, chosen, search.settings, **options)
     except InputError as error:
         if formula is None:
             raise
@@ -280,7 +274,7 @@ def add_effect(
         ]
         raise InputError(at_option) from None
     except NotSignificant as error:
-        refused = {"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": False}
+        refused = {"schema": "missionsim.add_effect/1", "effect": asked, "battery": chosen, "added": False}
         to.emit(refused | {"reason": str(error)})
         print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
         return 1
@@ -289,16 +283,14 @@ def add_effect(
     if made.worse:
         print(made.worse, file=sys.stderr)
     if made.rivals:
-        told = f"these logs cannot tell {effect} from {', '.join(made.rivals)}"
+        told = f"these logs cannot tell {made.effect.effect} from {', '.join(made.rivals)}"
         print(f"warning: {told}; missionsim diagnose says what to drive to find out", file=sys.stderr)
     if made.effect.doubt:
         print(f"warning: {made.effect.doubt}", file=sys.stderr)
     if to.text:
         terminal = console()
-        found = words.parameters_told(made.effect)
-        terminal.print(
-            f"{effect} on battery {chosen}: {words.share_told(made.effect)}; {found}; p = {made.effect.p_value:.1g}"
-        )
+        one, told = made.effect, words.parameters_told(made.effect)
+        terminal.print(f"{one.effect} on battery {chosen}: {words.share_told(one)}; {told}; p = {one.p_value:.1g}")
         if not made.significant:
             terminal.print(f"forced: {made.reason}")
         if made.base:

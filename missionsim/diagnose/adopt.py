@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from missionsim.diagnose.diagnosis import Named, judged
 from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.heldout import Models
+from missionsim.diagnose.proposed import as_finding, formula_of, with_candidate, with_law
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
@@ -115,6 +117,7 @@ def adopt(
     battery: str,
     settings: Settings,
     *,
+    formula: bool = False,
     force: bool = False,
     recalibrate: bool = True,
 ) -> Adopted:
@@ -129,13 +132,16 @@ def adopt(
     split : Split
         Its training runs are fitted.
     effect : str
-        Id in the library, or name of one of the file's candidates.
+        Id in the library, name of one of the file's candidates, or a formula.
     battery : str
     settings : Settings
+    formula : bool
+        Whether `effect` is a formula, or the number of a form that is proposed.
     force : bool
         Write it even if the data do not support it.
     recalibrate : bool
         Write the base parameters that were fitted with it.
+
     Raises
     ------
     NotSignificant
@@ -143,11 +149,23 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
+    from missionsim.inputs.loading import robot_from_text
+
     subject = Subject.of(robot)
     if battery not in robot.batteries:
         raise InputError.single(
             f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
         )
+    law: Finding | None = None
+    if formula:
+        named = judged(seen := examine(subject, split, battery, settings), settings)
+        law, own = _law_of(named, effect)
+        text, effect = with_candidate(text, battery, own)
+        robot = robot_from_text(text)
+        if law is not None:
+            law, seen = replace(law, effect=effect), replace(seen, models=with_law(seen.models, effect, own))
+        else:  # of one's own: it has to pass what the library's effects pass
+            subject = Subject.of(robot)
     check_name(robot, effect)
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
@@ -156,29 +174,21 @@ def adopt(
                 got=effect,
                 allowed="missionsim calibrate --robot refits it",
             )
-    seen = examine(subject, split, battery, settings)
-    features = seen.features
-    if effect in features.untestable:
-        raise InputError.single(
-            f"these logs cannot test '{effect}'",
-            got=effect,
-            allowed="logs with " + ", ".join(features.untestable[effect]),
-        )
-    known = [candidate.effect for candidate in features.candidates]
-    if effect not in known:
-        raise InputError.single(
-            f"'{effect}' is not an effect that these logs can test",
-            got=effect,
-            allowed=", ".join(known),
-            hint=did_you_mean(effect, known),
-        )
-    found, together, reason = _supported(seen, effect, settings)
+    if law is None:
+        named = judged(seen := examine(subject, split, battery, settings), settings)
+        _check_testable(seen, effect)
+    models = seen.models
+    together, reason = _supported(seen, named, effect, settings) if law is None else ((*named.effects, law), "")
+    fitted = named.fitted
+    if together != named.effects or not recalibrate:
+        fitted = models.fit(together, keep_base=not recalibrate)
+        together = models.leaning(models.told(together, fitted), fitted)
+    found = next(one for one in together if one.effect == effect)
+    if law is not None and found.share_low <= 0.0 <= found.share_high:
+        reason = f"{effect} comes to nothing beside the base once both are fitted together"
     significant = not reason
     if not significant and not force:
         raise NotSignificant(reason)
-    models = seen.models
-    fitted = models.fit(together, keep_base=not recalibrate)
-    (found,) = models.leaning(models.told([found], fitted), fitted)
     if len(together) > 1 and recalibrate:
         # the base beside other effects is wrong in a file that lacks them; the size of this one is not
         fitted = models.fit([found], fixed=True)
@@ -260,30 +270,59 @@ def _noted(told: Estimate) -> dict[str, str]:
     return {"note": "none, its least"} if 0.0 <= told.value <= AT_BOUND * (told.high - told.low) else {}
 
 
-def _supported(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], str]:
-    """The effect, everything that it is fitted beside, and why the logs do not support it; empty where they do."""
-    inside = next((e for e in seen.found.effects if e.effect == effect), None)
-    if inside is not None:
-        return inside, seen.found.effects, ""
-    others = [e.effect for e in seen.found.effects if effect not in e.indistinguishable_from]
+def _law_of(named: Named, asked: str) -> tuple[Finding | None, str]:
+    """The finding of a form that is proposed, None where it is a formula of one's own; and the formula."""
+    formula = formula_of(named.proposed, asked)
+    for law in named.proposed:
+        for form in law.laws:
+            if form.formula == formula:
+                others = tuple(one.formula for one in law.laws if one.variables != form.variables) if law.open else ()
+                made = as_finding(replace(law, laws=(form,), energy_share=form.energy_share))
+                return replace(made, indistinguishable_from=others), formula
+    return None, formula
+
+
+def _check_testable(seen: Examined, effect: str) -> None:
+    """Refuse an effect that these logs cannot test."""
+    features = seen.features
+    if effect in features.untestable:
+        raise InputError.single(
+            f"these logs cannot test '{effect}'",
+            got=effect,
+            allowed="logs with " + ", ".join(features.untestable[effect]),
+        )
+    known = [candidate.effect for candidate in features.candidates]
+    if effect not in known:
+        raise InputError.single(
+            f"'{effect}' is not an effect that these logs can test",
+            got=effect,
+            allowed=", ".join(known),
+            hint=did_you_mean(effect, known),
+        )
+
+
+def _supported(seen: Examined, named: Named, effect: str, settings: Settings) -> tuple[tuple[Finding, ...], str]:
+    """The effect with everything that it is fitted beside, and why the logs do not support it; empty where they do."""
+    if any(one.effect == effect for one in named.effects):
+        return named.effects, ""
+    others = [e.effect for e in named.effects if effect not in e.indistinguishable_from]
     features = seen.features
     try:
         fitted = fit_effects(features.runs, features.candidates, [*others, effect], features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(str(error), got=effect) from error
-    found = next(e for e in fitted.effects if e.effect == effect)
     columns = fitted.choice.model.design.layout.columns
     own = [(fitted.library[columns[k].candidate], fitted.choice.evidence[k]) for k in fitted.choice.model.chosen]
     own = [(candidate, evidence) for candidate, evidence in own if candidate.effect == effect]
     right_sign = all(one.sign == 0 or one.sign * evidence.share > 0 for one, evidence in own)
-    is_rival = any(effect in e.indistinguishable_from for e in seen.found.effects)
+    is_rival = any(effect in e.indistinguishable_from for e in named.effects)
     if right_sign and is_rival and any(evidence.accepted for _, evidence in own):
-        return found, fitted.effects, ""
-    searched = next(c for c in seen.found.candidates if c.effect == effect)
+        return fitted.effects, ""
+    searched = next(c for c in named.candidates if c.effect == effect)
     limit = searched.smallest_detectable_share
     told = f"{effect} is not supported by these logs: {searched.reason}"
     if not right_sign:
         told += "; its coefficient comes out with the wrong sign"
     if limit is not None and effect not in seen.found.demoted:
         told += f"; less than {100 * limit:.1f} % of the energy would not be seen"
-    return found, fitted.effects, told
+    return fitted.effects, told

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -167,7 +167,7 @@ def diagnose_battery(
     """
     seen = seen or examine(subject, split, battery, settings, clock)
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
-    effects, candidates, proposed, fitted = _named(seen, settings, laws, tried)
+    effects, candidates, proposed, fitted = judged(seen, settings, laws, tried)
     fits = (subject.model, models.fit(()).model, fitted.model)
     heldout: HeldOut | None = None
     if held:
@@ -252,10 +252,24 @@ def diagnose_battery(
     )
 
 
-def _named(
-    seen: Examined, settings: Settings, laws: bool, tried: Collection[str]
-) -> tuple[tuple[Finding, ...], tuple[Judged, ...], tuple[Proposal, ...], FinalFit]:
-    """The effects that stay beside the laws that are proposed, what became of all others, and the model with them."""
+class Named(NamedTuple):
+    """What is said of every effect, by all commands alike."""
+
+    effects: tuple[Finding, ...]
+    """Those that stay beside the laws, with the numbers of `fitted`."""
+    candidates: tuple[Judged, ...]
+    """What became of all others."""
+    proposed: tuple[Proposal, ...]
+    """Laws that the library does not hold."""
+    fitted: FinalFit
+    """The model with the effects."""
+
+
+def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collection[str] = ()) -> Named:
+    """The effects that stay beside the laws that are proposed, what became of all others, and the model with them.
+
+    `seen`, `settings`, `laws`, `tried`: as for `diagnose_battery`.
+    """
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     proposed: tuple[Proposal, ...] = ()
     if laws and found.factor is None:
@@ -282,7 +296,7 @@ def _named(
     for one in found.candidates:
         gone = STANDS_IN if one.effect in stood_in else NOTHING_LEFT if one.accepted and one.effect not in told else ""
         candidates.append(replace(one, accepted=False, open=True, reason=gone) if gone else one)
-    return effects, tuple(candidates), proposed, fitted
+    return Named(effects, tuple(candidates), proposed, fitted)
 
 
 def _beside_law(effect: Finding, laws: Sequence[Proposal], candidates: Sequence[Candidate]) -> str:

@@ -132,6 +132,9 @@ class Models:
             times = after / before if before else 1.0
             reach = 0.5 * (effect.share_high - effect.share_low) * max(1.0, abs(times))
             share = effect.energy_share * times
+            if len(sizes) == 1 and after:  # one number, one interval
+                own = parameters[sizes[0]]
+                reach = max(reach, abs(share) * 0.5 * (own.high - own.low) / abs(after))
             low, high = share - reach, share + reach
             told.append(replace(effect, parameters=parameters, energy_share=share, share_low=low, share_high=high))
         return tuple(told)
@@ -194,25 +197,27 @@ class Models:
     def certain(
         self, effects: Sequence[Finding], spared: int = 1, least: float = 0.0
     ) -> tuple[tuple[Finding, ...], FinalFit]:
-        """The effects with the coefficients of the last fit, and that fit; what came to nothing in it goes again, but
-        for the first `spared` of at least some share of the energy."""
-        labels = {c.effect for c in self.features.candidates if c.levels}
+        """The effects with the coefficients of the last fit, and that fit; what came to nothing in it and is not needed
+        goes again, but for the first `spared` of at least some share of the energy. Of a single run, each goes without
+        which its parts are predicted as well."""
         while True:
             fitted = self.fit(effects)
             told = self.told(effects, fitted)
             asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
             nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
             # levels of a label may differ and sum to nothing
-            nothing = [one for one in nothing if one.effect not in labels or not self._needed(one, told)]
+            nothing = [one for one in nothing if not self._needed(one, told)]
+            if len(self.runs) == 1:
+                nothing += [one for one in told if not self._needed(one, told, 0.0)]
             if not nothing:
                 return told, fitted
             smallest = min(nothing, key=lambda one: abs(one.energy_share)).effect
             effects = [one for one in effects if one.effect != smallest]
 
-    def _needed(self, effect: Finding, effects: Sequence[Finding]) -> bool:
-        """Whether other runs are predicted clearly worse without it."""
+    def _needed(self, effect: Finding, effects: Sequence[Finding], clearly: float = CLEARLY) -> bool:
+        """Whether other runs are predicted worse without it, by a part `clearly` of the squared error."""
         rest = [one for one in effects if one is not effect]
-        return self.of_others(rest) > (1.0 + CLEARLY) * self.of_others(effects)
+        return self.of_others(rest) > (1.0 + clearly) * self.of_others(effects)
 
     def errors(self, model: PowerModel, runs: Sequence[Run]) -> Errors:
         """Errors of a model on runs."""

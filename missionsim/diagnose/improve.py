@@ -369,7 +369,7 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
         names = " or ".join(map(plain, undecided.possible))
         return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
     if last.verdict == "unexplained_structure" and last.unexplained.shape:
-        told = f"something remains that the library does not contain: {last.unexplained.shape}."
+        told = f"something remains that {last.unnamed}: {last.unexplained.shape}."
         return told + (f" Beside that, {unseen}." if unseen else "")
     if declined:
         return f"declined: {', '.join(declined)}."

@@ -252,9 +252,7 @@ def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) ->
     elif told:
         command = f"add-effect --robot {robot} --effect {shlex.quote(told[0].effect)} {options}"
     elif not battery.effects and law is not None and not law.open:
-        twin = law.looks_like
-        what = f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{law.first.formula}"'
-        command = f"add-effect --robot {robot} {what} {options}"
+        command = f'add-effect --robot {robot} --formula "{law.first.formula}" {options}'
     elif battery.effects or law is not None or not errors(battery):
         return ""
     else:

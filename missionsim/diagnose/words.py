@@ -38,7 +38,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     if driven := [_execution(f) for f in battery.execution]:
         said.append(f"The robot drove otherwise than planned: {'; '.join(driven)}.")
     for law in battery.proposed_laws:
-        fits = f"it looks like {law.looks_like}" if law.looks_like else "no effect of the library fits"
+        fits = "no effect of the library fits"
         if law.instead_of:
             fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
         if law.open:
@@ -51,7 +51,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
         said.append(f"{left.shape[:1].upper()}{left.shape[1:]}.")
     elif battery.verdict == "unexplained_structure":
         said.append(
-            f"Something is {'also ' if battery.effects else ''}missing that the library does not contain; it "
+            f"Something is {'also ' if battery.effects else ''}missing that {battery.unnamed}; it "
             f"varies with {', '.join(map(plain, left.depends_on))} ({left.shape})."
         )
     elif left.shape:

@@ -270,6 +270,12 @@ class BatteryDiagnosis(Findings):
     """Whether the clocks were looked at; else they are as logged."""
 
     @property
+    def unnamed(self) -> str:
+        """What names nothing for what remains: the library, or these data, where effects of it are in doubt."""
+        doubted = [one.effect for one in self.candidates if one.doubtful_share is not None]
+        return f"these data do not name (perhaps {' or '.join(doubted)})" if doubted else "the library does not contain"
+
+    @property
     def parts(self) -> str:
         """What is left out one at a time, in words."""
         return "runs" if len(self.runs) > 1 else "parts of the run"

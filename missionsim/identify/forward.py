@@ -101,6 +101,11 @@ class Forward:
             passed=dict(trial.passed),
         )
 
+    def halves(self, number: int, chosen: Sequence[int]) -> bool:
+        """Whether an effect leaves less than half of the squared error of left-out folds beside a set of columns."""
+        trial = self.trials.get(number)
+        return trial is not None and trial.left.total < HALVED * self.squares.leave_out(chosen).total
+
     def stands(self, model: Model) -> bool:
         """Whether it stands against a model of the finer search: left-out runs err far less than all do with that one,
         or it holds the same effects and others, all at the level of that search."""

@@ -231,7 +231,10 @@ def _judged(
         # the shape that would be seen first: smaller than that nothing of the effect is seen
         limit = min((float(limits[k]) for k in own), default=math.inf)
         # what is there by every test but that of runs it was not fitted to, one of which may be spoilt, is not excluded
-        spoilt = [e for e in tried if all(held or gate in ("runs", "energy") for gate, held in e.passed.items())]
+        doubtable = {"runs", "energy"}
+        if choice.forward is not None and choice.forward.halves(number, choice.model.chosen):
+            doubtable = {"robust"}  # too few parts of too few runs, of which a test makes nothing
+        spoilt = [e for e in tried if all(held or gate in doubtable for gate, held in e.passed.items())]
         unsure = [e for e in spoilt if not inside and not e.accepted]
         shares = {e.share: e.share + Z95 * e.share_sd for e in unsure}
         limit = max([limit, *shares.values()])

@@ -309,7 +309,9 @@ def start_noise(design: Design) -> Noise:
 def bounded_noise(design: Design, squares: LeastSquares, chosen: Sequence[int]) -> Noise:
     """The first guess at the size of what least squares leaves: noise without a slow part that could take a signal."""
     noise = start_noise(design)
-    error = float(np.sqrt(squares.leave_out(chosen).total / float(squares.seconds.sum())))
+    one_run = len(design.runs) == 1  # whose parts, predicted from each other, say nothing of the noise
+    left = squares.errors(squares.index(chosen), squares.fit(chosen)) if one_run else squares.leave_out(chosen)
+    error = float(np.sqrt(left.total / float(squares.seconds.sum())))
     return replace(noise, sigma_w=noise.sigma_w * error / noise.total_sd_w, slow_share=SLOW_LEFT)
 
 

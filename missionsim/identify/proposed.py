@@ -130,8 +130,6 @@ class Proposal:
     """What to drive to tell the forms apart."""
     instead_of: tuple[str, ...] = ()
     """Effects of the library that stood in for it."""
-    looks_like: str = ""
-    """Effect of the library with the same column, if any."""
     heldout_rmse_w: tuple[float, float] | None = None
     heldout_energy_pct: tuple[float, float] | None = None
     """Both: errors of runs that nothing was fitted to."""
@@ -179,5 +177,4 @@ class Proposal:
             "heldout_energy_error_pct": pair(self.heldout_energy_pct),
             "experiment": self.experiment,
             "instead_of": list(self.instead_of),
-            "looks_like": self.looks_like,
         }

@@ -154,7 +154,8 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
         told = all(seen.passed.values())
-    if not told:
+    # what has the column of an effect that was refused is that effect; one whose form is in doubt may have this one
+    if not told or _twin(fitted, search.ground, found) not in ("", *found.demoted):
         return None
     ground, errors = search.ground, fitted.errors
     relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
@@ -180,7 +181,6 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         runs=errors.acting,
         experiment=_experiment(laws, curve, possible, found.noise),
         instead_of=instead,
-        looks_like=_twin(fitted, ground, found),
     )
     return Proposed(made, fitted, ground)
 

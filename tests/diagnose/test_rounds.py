@@ -135,7 +135,7 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     )
     monkeypatch.setattr(diagnosis, "proposed_laws", lambda *_: (law,))
     seen = SimpleNamespace(features=features, found=found, models=models, held=())
-    _, _, proposed, _ = diagnosis._named(seen, Settings(), True, tried)  # type: ignore[arg-type]
+    _, _, proposed, _ = diagnosis.judged(seen, Settings(), True, tried)  # type: ignore[arg-type]
     assert len(proposed) == laws
 
 

@@ -21,6 +21,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.identify.proposed import Curve, Law, Proposal, plain
 from missionsim.inputs.edit import robot_text
+from missionsim.inputs.loading import robot_from_text
 from missionsim.labels import Labels
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.grammar import Grammar, unit_of
@@ -171,6 +172,21 @@ def test_add_effect_writes_the_law_and_run_uses_it(
     assert made["effect"] in terms
 
 
+def test_a_form_that_is_proposed_is_what_add_effect_and_improve_add(
+    hidden: tuple[Path, Path, dict[str, Any], Made], tmp_path: Path
+) -> None:
+    train, _, report, _ = hidden
+    made = {}
+    for number, how in enumerate((["add-effect", "--formula", "1"], ["improve", "--yes"])):
+        out = tmp_path / f"{number}.yaml"
+        arguments = [*how, "--robot", "pioneer3dx", str(train), "--holdout", "none", "--out", str(out), "--quiet"]
+        assert main(arguments) == 0
+        made[how[0]] = robot_from_text(out.read_text(encoding="utf-8")).effects[-1]
+    one, other = made.values()
+    assert str(one.power) == str(other.power) == report["proposed_laws"][0]["forms"][0]["formula"]
+    assert one.parameters["k"].value == pytest.approx(other.parameters["k"].value, rel=0.01)
+
+
 def test_nothing_hidden_gives_no_formula(tmp_path: Path) -> None:
     train, heldout = make(None, 12, runs=6, heldout=2, duration_s=240.0).write(tmp_path)
     report, _ = diagnose(train, heldout)
@@ -231,7 +247,7 @@ def test_a_law_whose_quantity_is_open_is_not_added(
     assert told.open is undecided
     left = SimpleNamespace(shape="it wanders")
     last = SimpleNamespace(effects=(), proposed_laws=(told,), verdict="unexplained_structure", battery="main",
-                           unexplained=left, next_experiments=(), heldout=None)  # fmt: skip
+                           unexplained=left, unnamed="", next_experiments=(), heldout=None)  # fmt: skip
     assert (
         f"{plain(first[-1])} or {plain(other[-1])}, so it is not added. Next: 3 min at" in _why(last, ())
     ) is undecided
