@@ -207,7 +207,7 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
         heads = ["model", ">energy error, %", ">power RMSE, W", ""]
         show_table(f"Battery {one.battery}: error on {which}", heads, rows)
         terminal.print(f"added: {one.told}; {one.stopped}")
-        for note in (energy_note(one) if not one.worse else "", measured_note(one)):
+        for note in (energy_note(one), measured_note(one)):
             if note:
                 terminal.print(note)
     for name, error in skipped.items():

@@ -16,7 +16,15 @@ from missionsim.diagnose.leftover import beyond_note, fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
-from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, unseen_note, worse_note
+from missionsim.diagnose.waterfall import (
+    CLEAR_SHARE,
+    Step,
+    best_before,
+    clearly_better,
+    noise_floor,
+    unseen_note,
+    worse_note,
+)
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
@@ -109,7 +117,13 @@ class Improved:
         far = "" if self.added else base_note(before, recalibrated)
         if not (self.worse or far):
             return "", ""
-        best = best_before(self.steps[:-1]) if self.worse else 1
+        *bars, last = self.steps[:-1]
+        best = best_before([*bars, last]) if self.worse else 1
+        if self.worse and last.power_rmse_w < (1.0 - CLEAR_SHARE) * bars[best].power_rmse_w:
+            less = (
+                "as it was" if before.energy_error_pct <= recalibrated.energy_error_pct else "with its base fitted anew"
+            )
+            return f"For the power at each moment the new file is better, for the energy of a run the file {less}.", ""
         if best == 0:
             return "The robot file as it was predicts these runs best: leave it as it is.", ""
         if self.base_alone and far:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, worse_note
+from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, rises, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import Proposal, plain, state
 from missionsim.numerals import rounded, watts
@@ -164,7 +164,8 @@ def sure(battery: BatteryDiagnosis) -> str:
         p = first.p_value
         odds = _one_in(1.0 / p) if p >= 1e-6 else "less than one case in a million"
         odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
-        if doubt := "see the runs not used" if worse(battery) else first.doubt:
+        held = battery.heldout
+        if doubt := "see the runs not used" if held is not None and rises(bars_of(held))[0] else first.doubt:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
         repeated = "repeated" in first.level
         runs = "with whole runs as the sample it is there too" if repeated else "runs alone are too few to show it"

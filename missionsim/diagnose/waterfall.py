@@ -20,12 +20,12 @@ SEEN = 0.5
 SEVERAL = 3.0
 """Energy error of held-out runs, in times the noise floor, from which something is missing whatever was found (assumed;
 of a single run chance shows it once in 60)."""
-SHOWN_PCT, SHOWN_SHARE = 0.005, 1e-3
-"""Differences of energy errors [%], and of power errors as a part, that the printed digits hardly show."""
+SHOWN_PCT = 0.005
+"""Difference of energy errors [%] that the printed digits hardly show."""
 FAR_SHARE = 0.05
 """Part by which a recalibration lowers the power error where the base alone is worth fitting anew (assumed)."""
 CLEAR_SHARE = 0.01
-"""Rise of the power error over the better of file and recalibration that is told (assumed)."""
+"""Rise of the power error over the best earlier model that is told (assumed)."""
 
 
 class Step(NamedTuple):
@@ -135,33 +135,41 @@ def best_before(bars: Sequence[Step]) -> int:
     return min(kept, key=lambda i: bars[i].power_rmse_w)
 
 
-def worse_note(bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = True) -> str:
-    """In words, that runs are predicted worse than by a bar before the last, or than in energy by the first two.
+def rises(bars: Sequence[Step]) -> tuple[bool, bool]:
+    """Whether the last bar is worse: in power than the best before it by more than `CLEAR_SHARE`; in energy than both
+    the file as it was and a mere recalibration."""
+    power = bars[-1].power_rmse_w > (1.0 + CLEAR_SHARE) * bars[best_before(bars)].power_rmse_w
+    return power, bars[-1].energy_error_pct > SHOWN_PCT + max(bar.energy_error_pct for bar in bars[:2])
 
-    `bars`: errors of the file as it was, of a mere recalibration, and after each of `added`. Empty where none is worse.
+
+def worse_note(bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = True) -> str:
+    """In words, which error of the last bar is worse, and how the other fares; empty where none is (see `rises`).
+
+    `bars`: errors of the file as it was, of a mere recalibration, and after each of `added`.
     """
     before, recalibrated, after = bars[0], bars[1], bars[-1]
-    told = []
-    powers = (before.power_rmse_w, recalibrated.power_rmse_w)
+    power, energy = rises(bars)
+    if not (power or energy):
+        return ""
     best = best_before(bars)
-    what = "what was added raises"
+    what = "what was added"
+    told = f"from {watts(before.power_rmse_w)} ({watts(recalibrated.power_rmse_w)} recalibrated)"
     if best > 1:
         late = added[best - 1 :]
-        what = f"{late[0] if len(late) == 1 else 'what came after ' + added[best - 2]} raises"
-    if best > 1 and after.power_rmse_w > (1.0 + CLEAR_SHARE) * bars[best].power_rmse_w:
-        told.append(f"the power error from {rounded(bars[best].power_rmse_w)} to {watts(after.power_rmse_w)}")
-    elif after.power_rmse_w > min((1.0 + SHOWN_SHARE) * max(powers), (1.0 + CLEAR_SHARE) * min(powers)):
-        told.append(
-            f"the power error from {watts(before.power_rmse_w)} ({watts(recalibrated.power_rmse_w)} recalibrated) to "
-            f"{watts(after.power_rmse_w)}"
-        )
-    if after.energy_error_pct > SHOWN_PCT + max(before.energy_error_pct, recalibrated.energy_error_pct):
-        told.append(
-            f"the energy error from {before.energy_error_pct:.2f} % ({recalibrated.energy_error_pct:.2f} % "
-            f"recalibrated) to {after.energy_error_pct:.2f} %"
-        )
+        what = late[0] if len(late) == 1 else f"what came after {added[best - 2]}"
+        told = f"from {rounded(bars[best].power_rmse_w)}" if power else told
+    powers = f"the power error {told} to {watts(after.power_rmse_w)}"
+    energies = (
+        f"the energy error from {before.energy_error_pct:.2f} % ({recalibrated.energy_error_pct:.2f} % "
+        f"recalibrated) to {after.energy_error_pct:.2f} %"
+    )
     which = "runs that were not used to fit" if heldout else "the fitted runs"
-    return f"WORSE on {which}: {what} {' and '.join(told)}." if told else ""
+    if power and energy:
+        return f"WORSE on {which}: {what} raises {powers} and {energies}."
+    risen, other = (powers, energies) if power else (energies, powers)
+    lower = after.energy_error_pct < before.energy_error_pct if power else after.power_rmse_w < before.power_rmse_w
+    goes = other.replace(" error from", f" error {'falls' if lower else 'goes'} from")
+    return f"WORSE on {which}: {what} raises {risen}, while {goes}."
 
 
 def measured_note(done: Improved) -> str:
