@@ -125,7 +125,7 @@ def test_runs_that_got_worse_are_told_first() -> None:
     page = unescape(improve_page("r", [done]))
     assert page.index(done.worse) < page.index("Added: grade")
     told, command = done.advice("r.yaml", ["train"])
-    assert told.startswith("For the power at each moment the new file is better, for the energy of a run the file with ")
+    assert told.startswith("For the power at each moment the new file is better, for the energy of a run the file with")
     assert command == ""
 
 
