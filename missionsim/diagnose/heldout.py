@@ -22,7 +22,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.design import Source
 from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
-from missionsim.identify.settings import SHIFTED_MEAN_RATIO, SHIFTED_RATIO, SHIFTED_RUNS, Settings
+from missionsim.identify.settings import SEVERAL_RUNS, SHIFTED_MEAN_RATIO, SHIFTED_RATIO, Settings
 from missionsim.labels import Labels
 from missionsim.numerals import rounded
 from missionsim.physics import Array
@@ -144,6 +144,7 @@ class Models:
         each gives back."""
         formula = [name for name, parameter in self.features.parameters.items() if of_formula(parameter)]
         below = {name: new for name in formula if (new := fitted.values.get(name)) is not None and new.value < 0.0}
+        back = _given_back(self, [one.effect for one in effects if "regeneration" in one.parameters], fitted)
         told = []
         for effect in effects:
             without = self.fit([one for one in effects if one is not effect]).values if below else {}
@@ -154,8 +155,7 @@ class Models:
                 for name, new in below.items()
                 if name in without and new.value + Z95 * new.sd < without[name].value
             ]
-            back = _given_back(self, effect, fitted) if "regeneration" in effect.parameters else 0.0
-            told.append(replace(effect, leans="; ".join(falls), back=back))
+            told.append(replace(effect, leans="; ".join(falls), back=back.get(effect.effect, 0.0)))
         return tuple(told)
 
     def of_all_braking(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -245,7 +245,7 @@ class Models:
         clock and shapes stay those of all runs.
         """
         features = self.features
-        if not effects or len(features.runs) < SHIFTED_RUNS:
+        if not effects or len(features.runs) <= SEVERAL_RUNS:
             return None
         main = effects[0].effect
         covariate = next((c.covariate for c in features.candidates if c.effect == main), "")
@@ -294,12 +294,13 @@ class Models:
         return np.asarray(source.averaged(raw, clock)[0])
 
 
-def _given_back(models: Models, effect: Finding, fitted: FinalFit) -> float:
-    """Part of the measured energy that the term of an effect gives back."""
-    back_j = measured_j = 0.0
-    for run in models.runs:
+def _given_back(models: Models, names: Sequence[str], fitted: FinalFit) -> dict[str, float]:
+    """Part of the measured energy that each of some terms gives back."""
+    back_j, measured_j = dict.fromkeys(names, 0.0), 0.0
+    for run in models.runs if names else ():
         driven = drive(fitted.model, run, models.battery)
         measured_j += float(driven.measured_w[models.battery] @ run.dt_s)
         for key, watts in driven.terms[models.battery].items():
-            back_j -= float(np.minimum(watts, 0.0) @ run.dt_s) if key.name == effect.effect else 0.0
-    return back_j / measured_j if measured_j > 0.0 else 0.0
+            if key.name in back_j:
+                back_j[key.name] -= float(np.minimum(watts, 0.0) @ run.dt_s)
+    return {name: joules / measured_j for name, joules in back_j.items() if measured_j > 0.0}

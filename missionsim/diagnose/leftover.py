@@ -15,14 +15,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.identify.findings import BatteryDiagnosis, Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
-from missionsim.identify.settings import (
-    CLEAR_OF_NOISE,
-    CLEAR_T,
-    MOST_OF_SQUARE,
-    MOTION_SECONDS,
-    SEVERAL_RUNS,
-    SMALL_TIME,
-)
+from missionsim.identify.settings import CLEAR_OF_NOISE, CLEAR_T, MOST_OF_SQUARE, SEVERAL_RUNS, SMALL_TIME
 from missionsim.labels import Labels
 from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
@@ -92,7 +85,7 @@ def standing_out(
     if shares[kind] < MOST_OF_SQUARE or time_share > SMALL_TIME:
         return None
     each = [here & (run == j) for j in np.unique(run)]
-    means = np.array([np.average(error_w[m], weights=seconds[m]) for m in each if seconds[m].sum() >= MOTION_SECONDS])
+    means = np.array([np.average(error_w[m], weights=seconds[m]) for m in each if m.any()])
     if len(means) < SEVERAL_RUNS or abs(float(np.sum(np.sign(means)))) < len(means):
         return None
     mean = float(means.mean())

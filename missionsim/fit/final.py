@@ -17,7 +17,7 @@ from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
 from missionsim.identify.design import Source, make_source
-from missionsim.identify.settings import Settings
+from missionsim.identify.settings import SEVERAL_RUNS, Settings
 from missionsim.physics import Array
 from missionsim.physics.lag import Meter
 from missionsim.runs.run import Run
@@ -26,16 +26,12 @@ ROUNDS = 3
 """Steps of Gauss and Newton; nearly all models are linear in what is fitted."""
 STILL = 1e-7
 """Relative change below which a fit has come to rest, and a model is linear."""
-SEVERAL_RUNS = 4
-"""From so many runs on errors are clustered by run, below by blocks of `Settings.block_s`."""
 FREE_SD = 1e3
 """Relative prior standard deviation that leaves a parameter to the logs."""
 LEFT = 1e-3
 """Part of its value that is left of a base parameter that comes to nothing: nought has no gradient to come back by."""
 ALIKE = 1e-9
 """Columns whose correlation is nearer to one than this are multiples of each other."""
-MOST_ROWS = 200_000
-"""Longer logs are fitted to means alone."""
 CLEARLY = 0.01
 """Part of the squared error of left-out rows by which rows as logged must be the better ones (assumed)."""
 EXACT = 1e4
@@ -88,10 +84,9 @@ def final_fit(
     plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)
     own = [driven.run for driven in ready.runs]
     step = float(np.median(np.concatenate([run.dt_s for run in own])))
-    few = sum(run.rows for run in own) <= MOST_ROWS
     jolts = any("accel_m_s2" in (*t.effect.needs, t.effect.covariate) for t in model.of(battery) if not t.base)
     best = plain
-    if means is not None and jolts and few and step <= 0.5 * settings.period_s:
+    if means is not None and jolts and step <= 0.5 * settings.period_s:
         other, raw = _fit(model, ready, prior_sd, clock, replace(settings, period_s=step), fixed, keep_base)
         if raw is not None and raw.names == means.names:
             best = other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
@@ -218,7 +213,7 @@ class _System:
         names = list(design.layout.parameters)
         x = np.asarray(design.gradient[: len(names)]).T
         left, seconds, cluster = design.y - design.base, design.duration_s, design.run_index()
-        if len(design.runs) < SEVERAL_RUNS:
+        if len(design.runs) <= SEVERAL_RUNS:  # too few to be the sample
             blocks = np.floor((design.time_s - design.time_s.min()) / settings.block_s).astype(np.intp)
             cluster = np.asarray(cluster * (int(blocks.max()) + 2) + blocks, dtype=np.intp)
         raw = _energies(data, names)

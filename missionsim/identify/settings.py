@@ -285,8 +285,6 @@ SMALL_TIME = 0.25
 RARE_TIME, PEAKS, FEWEST_PEAKS = 0.02, 0.6, 5
 """Part of the time, the part of the squared error that is left which its rows must hold to be told as peaks, and how
 many there must be (assumed; of normal noise it is 0.15, of Student's with three degrees of freedom 0.44)."""
-MOTION_SECONDS = 5.0
-"""Time in a kind of motion below which a run says nothing of it [s]."""
 CLEAR_T = 5.0
 """Mean over runs in its own standard errors; with three runs p = 0.04, beside everything else that is asked."""
 CLEAR_OF_NOISE = 2.0
@@ -298,8 +296,6 @@ MOST_PASSES = 3
 """Times that columns are evaluated anew at the size found; the second changes it by less than a per cent."""
 SAME_SIZE = 0.05
 """A column is evaluated anew when the size found differs by more than this from the one that it was made for."""
-SHIFTED_RUNS = 4
-"""Fewer runs than this are not split by condition."""
 SHIFTED_RATIO = 1.2
 """Runs left out by condition lie beyond the others' largest value of it by this factor, or by the next in the mean."""
 SHIFTED_MEAN_RATIO = 1.5

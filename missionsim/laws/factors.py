@@ -27,7 +27,6 @@ MOST_FURTHER = 6
 """Columns beyond the glossary that enter; more would make chance finds of any share."""
 LAGS_S = (3.0, 5.0, 8.0, 13.0, 20.0, 30.0, 50.0, 80.0, 130.0)
 WARM_S = (30.0, 120.0)
-VARIES = 1e-9
 TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
 WIDTHS = {0.2: (0.5, 0.75), 0.1: (), 0.4: ()}
 """Widths of a resonance in parts of a fast drive's speed, with the quantiles of speed that enter the first pass."""
@@ -75,9 +74,7 @@ class _Builder:
         values = cache(partial(self._values, text))
         if not factor.fine:  # most of the others are never looked at
             found = values()
-            size = max((float(np.max(np.abs(v), initial=0.0)) for v in found), default=0.0)
-            apart = [*(float(np.ptp(v)) for v in found), float(np.ptp([np.mean(v) for v in found]))]
-            if not (size > 0.0 and max(apart) > VARIES * size):
+            if not np.ptp(np.concatenate(found)):
                 return
         self.factors.append(factor)
         self.values.append(values)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
 from missionsim.identify.proposed import CLOCKS, FAR_BETTER
+from missionsim.identify.settings import SEVERAL_RUNS
 from missionsim.laws.adapter import Ground, Rows32, Sieve
 from missionsim.laws.gates import LEAST_RISE, LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
@@ -25,8 +26,6 @@ from missionsim.physics import Array
 
 MOST_ROWS = 6000
 """Longer data are averaged to about so many rows for the first pass."""
-MOST_KEPT = 5_000_000
-"""Numbers of averaged forms that are kept for the next look at them."""
 AT_ONCE = 16
 SHORTLIST = 1500
 SEEDS = 3
@@ -45,8 +44,8 @@ HARDLY_WORSE = 1.03
 better, see `missionsim.laws.gates`), and misses the best by no more than this."""
 NEEDED_ERROR = 1.02
 """A law without one of its quantities must predict left-out runs so much worse, or that quantity goes."""
-REPEATS, FEW_RUNS = 1.5, 4
-"""The same must repeat: mean of the logarithm of each run's error, in standard errors, from so many runs on."""
+REPEATS = 1.5
+"""The same must repeat: mean of the logarithm of each run's error, in standard errors, where runs are several."""
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
 
@@ -171,9 +170,6 @@ class Search:
     def columns(self, forms: Sequence[Sequence[int]]) -> Array:
         """The same of several forms, shape (forms, n)."""
         missing = [form for form in dict.fromkeys(tuple(form) for form in forms) if form not in self._averaged]
-        if (len(self._averaged) + len(missing)) * len(self.ground.design.y) > MOST_KEPT:
-            self._averaged.clear()
-            missing = list(dict.fromkeys(tuple(form) for form in forms))
         for begin in range(0, len(missing), AT_ONCE):
             some = missing[begin : begin + AT_ONCE]
             self._averaged.update(zip(some, self.ground.averaged(self.grammar.products(some)), strict=True))
@@ -255,7 +251,7 @@ class Search:
                 trusted = not far and name not in CLOCKS
                 needed = trusted and top.rise - top.penalty > fit.rise - fit.penalty + LEAST_RISE
                 as_good = fit.errors.with_law < NEEDED_ERROR * top.errors.with_law
-                if not far and not as_good and len(top.errors.by_run) >= FEW_RUNS:
+                if not far and not as_good and len(top.errors.by_run) > SEVERAL_RUNS:
                     # of eight runs a few are better by chance; what every run needs is needed, though one needs it
                     # most: a payload is constant in runs
                     worse = np.subtract(*(np.log(np.maximum(one.errors.by_run, 1e-300)) for one in (fit, top)))

@@ -65,6 +65,12 @@ def test_the_state_that_predicts_other_runs_best_is_kept(last: float, kept: str)
     assert rounds(models, [("grade",), ("drag",), ()]).best().text == kept
 
 
+@pytest.mark.parametrize(("without", "needed"), [(9.05, False), (9.15, True)])
+def test_an_effect_is_needed_where_other_runs_are_predicted_worse_without_it(without: float, needed: bool) -> None:
+    models, effects = Told({("grade",): 9.0, (): without}), named("grade")
+    assert Models._needed(models, effects[0], effects) is needed  # type: ignore[arg-type]
+
+
 def test_rounds_end() -> None:
     names = [f"effect_{i}" for i in range(2 * MOST_ROUNDS)]
     models = Told({tuple(names[:i]): 1.0 / (i + 1) for i in range(2 * MOST_ROUNDS)})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 
 from missionsim.errors import InputError
-from missionsim.fit import calibrate, parameters
+from missionsim.fit import calibrate, final, parameters
 from missionsim.fit import prepare as prepared
 from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.fit.parameters import FittedParameter
 from missionsim.fit.provenance import sd_on_other_logs
-from missionsim.inputs.loading import load_robot
+from missionsim.identify.align import Clock
+from missionsim.identify.settings import Settings
+from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
 from tests.diagnose.logs import drawing, drive
@@ -47,6 +50,71 @@ def test_a_model_has_a_value_in_half_of_the_rows(part: float, fitted: bool) -> N
     else:
         with pytest.raises(InputError, match="gives no number in 55%"):
             parameters._least_squares_start(model, ready)
+
+
+@pytest.mark.parametrize(("watts", "fitted"), [(1e29, True), (1e31, False)])
+def test_a_power_whose_square_is_no_number_is_none(watts: float, fitted: bool) -> None:
+    x = np.full(100, watts)
+    run, own = SimpleNamespace(dt_s=np.ones(100)), {"c": SimpleNamespace(value=1.0)}
+    ready = SimpleNamespace(gradients=[{"c": x}], base_w=[x], runs=[run], parameters=own, battery="robot")
+    ready.measured_w = lambda: np.full(100, 3.0)
+    model = SimpleNamespace(with_values=lambda values: values)
+    with nullcontext() if fitted else pytest.raises(InputError, match="in any row"):
+        assert parameters._least_squares_start(model, ready)
+
+
+@pytest.mark.parametrize(("apart", "told"), [(1.3e-4, {"a", "b"}), (5e-5, set())])
+def test_columns_that_are_alike_but_for_a_ten_thousandth_are_not_told_apart(apart: float, told: set[str]) -> None:
+    x, y = np.eye(2)
+    assert parameters.told_apart(SimpleNamespace(gradients=[{"a": x, "b": x + apart * y}])) == told
+
+
+@pytest.mark.parametrize(("apart", "alike"), [(3e-5, True), (1e-4, False)])
+def test_of_columns_that_are_multiples_one_is_fitted(apart: float, alike: bool) -> None:
+    """Their correlation is 1 − apart² / 2."""
+
+    def log(apart: float) -> LogTable:
+        one = drive(1, seconds=120.0)
+        speed = one.columns["speed_m_s"]
+        rest = np.random.default_rng(1).normal(size=len(speed)) * speed
+        rest *= np.linalg.norm(speed) / np.linalg.norm(rest)
+        return replace(one, columns={**one.columns, "reading": speed + apart * rest})
+
+    made = calibrate_new(NewRobot("own", "k1*v + k2*reading", mass="20 kg"), [log(0.5)])
+    told = parameters.fit_parameters(build_power_model(robot_from_text(made.text)), [log(apart)], "robot").remarks
+    assert any("in the same way" in remark for remark in told) is alike
+
+
+@pytest.mark.parametrize(("explained", "fitted"), [(-9.5, True), (-10.5, False)])
+def test_a_fit_that_ran_away_is_refused(monkeypatch: pytest.MonkeyPatch, explained: float, fitted: bool) -> None:
+    log, told = drive(1, seconds=60.0), SimpleNamespace(total=SimpleNamespace(seconds=60.0))
+    told.power_rmse_w = float(np.std(log.power_w["robot"])) * np.sqrt(1.0 - explained)
+    monkeypatch.setattr(parameters, "errors_of", lambda *_: told)
+    with nullcontext() if fitted else pytest.raises(InputError, match="error far larger than the power"):
+        parameters.fit_parameters(build_power_model(load_robot("pioneer3dx")), [log], "robot")
+
+
+@pytest.mark.parametrize(("runs", "clusters"), [(3, {9}), (4, {4})])
+def test_four_runs_are_the_sample_and_fewer_are_cut(runs: int, clusters: set[int]) -> None:
+    ready = prepared.prepare(
+        build_power_model(load_robot("pioneer3dx")), [drive(i, seconds=60.0) for i in range(runs)], "robot"
+    )
+    assert {len(np.unique(final._System.of(ready, Clock.as_logged(runs), Settings()).cluster))} == clusters
+
+
+def test_a_base_parameter_keeps_a_thousandth_of_its_value() -> None:
+    model = build_power_model(load_robot("pioneer3dx"))
+    at_rest = model.parameters_of("robot")["standing"].value
+    assert final._bounds(model, "robot")[0]["standing"] == pytest.approx(1e-3 * at_rest)
+
+
+@pytest.mark.parametrize(("texts", "watched"), [(6, True), (7, False)])
+def test_a_curve_over_texts_has_a_knot_for_each(texts: int, watched: bool) -> None:
+    floors = [f"floor {i % texts}" for i in range(60)]
+    ready = prepared.prepare(
+        build_power_model(load_robot("pioneer3dx")), [drive(1, seconds=60.0, surface=floors)], "robot"
+    )
+    assert ("surface" in ready.data()[0].covariates) is watched
 
 
 @dataclass(frozen=True)

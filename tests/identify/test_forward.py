@@ -223,6 +223,17 @@ def test_what_an_effect_must_take_off_the_error_of_left_out_runs(
     assert {gate for gate, held in trial.passed.items() if not held} == failed
 
 
+@pytest.mark.parametrize(("drawn_w", "helps"), [(0.055, True), (0.035, False)])
+def test_watts_that_are_logged_need_take_off_a_five_hundredth(drawn_w: float, helps: bool) -> None:
+    """0.3 and 0.1 % of the squared error: that they are drawn is known, only whether this battery feeds them is not."""
+    rng, folds = np.random.default_rng(4), []
+    for _ in range(8):
+        arm = drawn_w * np.tile([-1.0, 1.0], 2000)
+        power = arm + rng.normal(size=4000)
+        folds.append(np.vstack([power, 10.0 * arm, np.ones(4000), 10.0 + power]))
+    assert searched(folds, ["logged_power:arm_w"]).measured(0, [0], []).passed["runs"] is helps
+
+
 @pytest.mark.parametrize(("size", "beyond"), [(0.08, False), (0.5, True), (-0.5, True), (-2.0, False)])
 def test_the_twin_of_a_base_parameter_is_more_than_recalibration_and_no_more_than_the_parameter(
     size: float, beyond: bool
@@ -282,6 +293,16 @@ def test_surges_that_are_large_and_seldom_are_no_base_that_is_far_from_right(par
     ]
     source = make_source(runs, library(), {}, Settings(align=False))
     assert (far_from_right(source) is not None) is far
+
+
+@pytest.mark.parametrize(("usual", "far"), [(0.1, False), (0.2, True)])
+def test_rows_that_err_by_a_tenth_of_the_power_are_near_enough(usual: float, far: bool) -> None:
+    """15 % of the rows err by nine tenths of the mean power, to either side, all others by less."""
+    rng, runs = np.random.default_rng(2), []
+    for run in make_runs(1):
+        part, side = np.where(rng.random(len(run.time_s)) < 0.15, 0.9, usual), rng.choice([-1.0, 1.0], len(run.time_s))
+        runs.append(replace(run, measured_w=run.measured_w + part * side * run.measured_w.mean()))
+    assert (far_from_right(make_source(runs, library(), {}, Settings(align=False))) is not None) is far
 
 
 def floors_of(rng: np.random.Generator, dear: tuple[float, ...]) -> LeastSquares:

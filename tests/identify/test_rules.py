@@ -13,13 +13,14 @@ import pytest
 from missionsim.identify import estimates, stepwise
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, Constraints
+from missionsim.identify.design import make_source
 from missionsim.identify.estimates import rivals
 from missionsim.identify.evidence import Evidence, evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
 from missionsim.identify.findings import Estimate, Finding, Structure
 from missionsim.identify.forward import Choice, _Search
 from missionsim.identify.gram import Gram
 from missionsim.identify.identification import Identification, fit_effects, identify, refutes
-from missionsim.identify.model import Model
+from missionsim.identify.model import Model, spread_runs
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import Remains, demoted, gates, last_gates
 from missionsim.identify.settings import Settings
@@ -386,3 +387,45 @@ def test_of_effects_that_fail_the_weakest_goes_first(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(stepwise, "weighed", lambda _, left: {k: weigh(40.0, True) for k in left})
     both = Choice(model, model, {0: weigh(50.0, False), 1: weigh(9.0, False)})
     assert stepwise.confirmed(both).model.chosen == (0,)
+
+
+@pytest.mark.parametrize(("p_runs", "level"), [(0.04, "identified, repeated across runs"), (0.06, "identified")])
+def test_runs_that_hardly_repeat_an_effect_are_not_said_to(p_runs: float, level: str) -> None:
+    choice = fitted("grade", 0.05).choice
+    evidence = {k: replace(one, p_runs=p_runs) for k, one in choice.evidence.items()}
+    assert estimates.estimated(replace(choice, evidence=evidence), {}, {}, ())[0].level == level
+
+
+@pytest.mark.parametrize(("p_value", "asked"), [(0.011, False), (0.009, True)])
+def test_levels_by_which_runs_differ_at_one_in_a_hundred_enter_together(
+    monkeypatch: pytest.MonkeyPatch, p_value: float, asked: bool
+) -> None:
+    class Fitted(Exception):
+        pass
+
+    def fit(*_: object, **__: object) -> None:
+        raise Fitted
+
+    monkeypatch.setattr(stepwise, "_between", lambda *_: p_value)
+    monkeypatch.setattr(stepwise, "fit_model", fit)
+    floors = Candidate("surface_rolling_resistance", ("a", "b"), levels=("a", "b"))
+    constraints = Constraints(np.ones(2, dtype=int), np.zeros(2, dtype=int), np.ones(2, dtype=bool), [floors])
+    model = SimpleNamespace(constraints=constraints, chosen=(), source=None)
+    choice = Choice(model, model, {})
+    if asked:
+        with pytest.raises(Fitted):
+            stepwise.with_levels(choice)
+    else:
+        assert stepwise.with_levels(choice) is choice
+
+
+def test_a_run_of_seven_intervals_says_nothing_and_one_of_eight_enters() -> None:
+    runs = make_runs(1, count=3)
+    for run, intervals in zip(runs[1:], (7, 8), strict=True):
+        run.measured_w[intervals:] = np.nan
+    assert make_source(runs, library(), {}, Settings()).kept == (0, 2)
+
+
+def test_of_many_long_runs_eight_show_the_noise() -> None:
+    assert len(spread_runs(40, 40 * 7200)) == 8
+    assert len(spread_runs(40, 40 * 200)) == 40

@@ -212,6 +212,9 @@ def test_what_helps_in_some_runs_and_harms_in_others_rides_along() -> None:
     assert _plainest([[1.4] * 8, by_chance]) == {0}
     assert _plainest([[1.4] * 8, [1.05, 1.07] * 4]) == {0, 1}
     assert _plainest([[1.4] * 8, [1.9, *[1.01] * 7]]) == {0, 1}  # one run needs it most, and each needs it
+    # three runs say nothing of chance
+    assert _plainest([[1.4] * 4, by_chance[:4]]) == {0}
+    assert _plainest([[1.4] * 3, by_chance[:3]]) == {0, 1}
 
 
 def test_a_quantity_that_the_rows_show_stays_though_something_else_moves_the_runs() -> None:
