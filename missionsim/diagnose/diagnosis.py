@@ -11,13 +11,12 @@ import numpy as np
 
 from missionsim.compare.where import WORTH_SAYING, Accumulator, Where, dependences, ranked
 from missionsim.diagnose.examine import Examined, Subject, examine
-from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
+from missionsim.diagnose.execution import execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
-from missionsim.diagnose.proposed import as_finding as as_law
-from missionsim.diagnose.proposed import proposed_laws, with_law
+from missionsim.diagnose.proposed import as_finding, proposed_laws, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.waterfall import noted
 from missionsim.errors import InputError
@@ -187,13 +186,13 @@ def diagnose_battery(
     square /= max(sum(len(run.time_s) for run in series), 1)
     within = max(models.errors(fits[-1], models.runs).power_rmse_w ** 2 - square, 0.0)
     logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
-    driven: list[ExecutionEffect] = []
+    driven: list[Finding] = []
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
         if all("speed_m_s" in log.columns for log in logs):
             driven = execution_effects(timeline, logs, battery, settings.alpha)
-    execution = tuple(as_finding(one) for one in driven if one.found)
+    execution = tuple(one for one in driven if one.level)
     recalibration = models.recalibrated(fitted)
     # what remains with all that was named, and which parts of it are averages that say nothing of their own
     left, more = found.unexplained, list[Structure]()
@@ -285,7 +284,7 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     stood_in = {name for law in proposed for name in law.instead_of}
     effects = tuple(effect for effect in found.effects if effect.effect not in stood_in)
     if found.choice.forward is not None and effects and proposed:
-        made = as_law(proposed[0])
+        made = as_finding(proposed[0])
         effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect

@@ -7,7 +7,6 @@ numbers scatter; a Student interval over runs says which differ from the plan (r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -30,36 +29,14 @@ TOLD = {
 }
 
 
-@dataclass(frozen=True)
-class ExecutionEffect:
-    """One execution effect on one scheme."""
-
-    effect: str
-    """``path_stretch``, ``speed_tracking`` or ``dwell``."""
-    scheme: str
-    """Empty where the logs or the plan have no schemes."""
-    value: float
-    low: float
-    high: float
-    """All three: ratio to the plan, or seconds a run for ``dwell``; 95 % interval over runs, NaN with one run."""
-    p_value: float
-    """Of "as planned"; NaN with one run."""
-    unit: str
-    energy_share: float
-    """Part of the measured energy that the difference takes (negative where it saves energy)."""
-    _: KW_ONLY
-    found: bool
-    """Whether it differs from the plan beyond chance and beyond what an odometer's scale could do."""
-    reason: str
-
-
-def execution_effects(
-    timeline: Timeline, logs: Sequence[Run], battery: str, alpha: float = 0.01
-) -> list[ExecutionEffect]:
+def execution_effects(timeline: Timeline, logs: Sequence[Run], battery: str, alpha: float = 0.01) -> list[Finding]:
     """Path stretch, speed tracking and dwell of every scheme, from the plan's intervals and the motion in the logs.
 
-    `timeline`: the simulated mission; each log is one drive of it. `logs`: with ``speed_m_s``; with ``scheme`` where
-    the mission has more than one. `alpha`: family-wise rate of false alarms over all effects and schemes.
+    ``k`` of each is its ratio to the plan, or seconds a run for ``dwell``; its interval over runs and p-value are NaN
+    with one run. Its level is empty where it differs from the plan by no more than chance or an odometer's scale, and
+    its remark says why. `timeline`: the simulated mission; each log is one drive of it. `logs`: with ``speed_m_s``;
+    with ``scheme`` where the mission has more than one. `alpha`: family-wise rate of false alarms over all effects and
+    schemes.
     """
     still = still_of(timeline)
     plan, whole_plan = planned(timeline), planned(timeline, by_scheme=False)[""]
@@ -78,7 +55,7 @@ def execution_effects(
     measured_j = sum(run.energy_j["all"] for run in whole)
     names = [name for name, motion in plan.items() if motion.distance_m > 0.0]
     level = alpha / max(1, 3 * len(names))
-    found: list[ExecutionEffect] = []
+    found: list[Finding] = []
     for name in names:
         runs = [run[name] for run in driven if name in run and run[name].distance_m > 0.0]
         if not runs:
@@ -99,7 +76,7 @@ def execution_effects(
     return found
 
 
-def _judged(effect: str, scheme: str, values: Array, share: float, level: float) -> ExecutionEffect:
+def _judged(effect: str, scheme: str, values: Array, share: float, level: float) -> Finding:
     """An effect from its ratio to the plan (seconds for ``dwell``) in each run, with a Student interval over runs."""
     from scipy.special import stdtr, stdtrit
 
@@ -126,45 +103,40 @@ def _judged(effect: str, scheme: str, values: Array, share: float, level: float)
         reason = "one run cannot show how it scatters"
     else:
         reason = why or f"as planned within its scatter over {count} runs (p = {p:.2g}, needed {level:.1g})"
-    unit = "1" if ratios else "s"
-    return ExecutionEffect(effect, scheme, value, low, high, p, unit, share, found=found, reason=reason)
+    return Finding(
+        effect=effect,
+        parameters={"k": Estimate(value, low, high, "1" if ratios else "s")},
+        energy_share=share,
+        p_value=p,
+        scheme=scheme,
+        level="identified" if found else "",
+        remark=reason,
+    )
 
 
-def told_of(effects: Sequence[ExecutionEffect]) -> list[Judged]:
+def told_of(effects: Sequence[Finding]) -> list[Judged]:
     """The execution effects as candidates that were looked at, all schemes of one together, those found first."""
-    order = sorted(effects, key=lambda one: (not one.found, -abs(one.energy_share)))
+    order = sorted(effects, key=lambda one: (not one.level, -abs(one.energy_share)))
     told = []
     for name in dict.fromkeys(one.effect for one in order):
         own = [one for one in order if one.effect == name]
-        why = "; ".join(f"{one.scheme}: {one.reason}" if one.scheme else one.reason for one in own)
-        told.append(Judged(name, any(one.found for one in own), why, None))
+        why = "; ".join(f"{one.scheme}: {one.remark}" if one.scheme else one.remark for one in own)
+        told.append(Judged(name, any(one.level for one in own), why, None))
     return told
 
 
-def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
+def seen_once(effects: Sequence[Finding]) -> list[str]:
     """In words, how the only run differs from the plan, where it takes energy worth saying."""
     told = []
     for one in effects:
-        away = abs(one.value) > SHORTEST_DWELL_S if one.unit == "s" else abs(one.value - 1.0) > ODOMETRY_SCALE
+        k = one.parameters["k"]
+        away = abs(k.value) > SHORTEST_DWELL_S if k.unit == "s" else abs(k.value - 1.0) > ODOMETRY_SCALE
         if np.isfinite(one.p_value) or not away or abs(one.energy_share) < WORTH_SAYING:
             continue
         scheme = f" in {one.scheme}" if one.scheme else ""
         told.append(
-            f"{one.effect}{scheme}: {one.value:.3g} {TOLD[one.effect]} ({100 * one.energy_share:+.1f} % of the energy)"
+            f"{one.effect}{scheme}: {k.value:.3g} {TOLD[one.effect]} ({100 * one.energy_share:+.1f} % of the energy)"
         )
     if not told:
         return []
     return [f"driven otherwise than planned in this run: {'; '.join(told)}; one run cannot show whether it repeats"]
-
-
-def as_finding(one: ExecutionEffect) -> Finding:
-    """An execution effect among the findings."""
-    return Finding(
-        effect=one.effect,
-        parameters={"k": Estimate(one.value, one.low, one.high, one.unit)},
-        energy_share=one.energy_share,
-        p_value=one.p_value,
-        scheme=one.scheme,
-        level="identified",
-        remark=one.reason,
-    )

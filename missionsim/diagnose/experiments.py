@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.fit.prepare import prepare
 from missionsim.identify.data import Constraints, RunData
 from missionsim.identify.design import make_source
+from missionsim.identify.estimates import imitated
 from missionsim.identify.findings import Experiment, Finding, Unexplained
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Gram, make_gram, single_gains
@@ -172,21 +172,13 @@ def worst_lead(bench: Bench, constraints: Constraints, gram: Gram, names: Sequen
     """Smallest expected lead of one effect of a set over the best imitation by another [nats]."""
     now, own = bench.model.gram, {name: _columns(bench, name) for name in names}
     rest = [k for k in bench.model.chosen if not any(k in columns for columns in own.values())]
-    gains, left = single_gains(now, constraints, rest), gram.conditional(rest)
+    gains = single_gains(now, constraints, rest)
     leads = []
-    for one, other in permutations(names, 2):
-        k = max(own[one], key=gains.__getitem__)
-        value = float(now.coefficients([*rest, k])[0][-1])
-        size = float(left[1 + k, 1 + k])
-        alike = 0.0
-        for j in own[other]:
-            of_other = float(left[1 + j, 1 + j])
-            if of_other <= 1e-9 * float(gram.full[1 + j, 1 + j]):
-                continue
-            r = float(left[1 + k, 1 + j]) / np.sqrt(size * of_other)
-            if constraints.sign[j] * r * value >= 0.0:
-                alike = max(alike, min(1.0, r * r))
-        leads.append(0.5 * value**2 * size * (1.0 - alike))
+    for one, columns in own.items():
+        k = max(columns, key=gains.__getitem__)
+        r, lead = imitated(gram, constraints, rest, k, float(now.coefficients([*rest, k])[0][-1]))
+        alike = np.minimum(1.0, np.nan_to_num(r) ** 2)
+        leads += [lead * (1.0 - float(alike[other].max())) for name, other in own.items() if name != one]
     return min(leads, default=0.0)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
+from missionsim.identify.data import Constraints
 from missionsim.identify.evidence import cause_is_constant
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.forward import Choice
@@ -23,6 +24,7 @@ from missionsim.identify.settings import (
     RUN_LEVEL,
     SAME_COLUMN,
 )
+from missionsim.physics import Array
 
 Z95 = 1.959963984540054
 
@@ -147,32 +149,32 @@ def _pairs_without(
     return out
 
 
-def pairs(model: Model) -> Alike:
-    """How well each effect in the model can be told from every other effect.
+def imitated(
+    gram: Gram, constraints: Constraints, rest: Sequence[int], column: int, value: float
+) -> tuple[Array, float]:
+    """How well each column imitates one of coefficient `value`, once base parameters, run effects and the `rest` of the
+    model are projected out: r, shape (p,), 0 where the sign of its coefficient forbids it, NaN where nothing is left of
+    it; and the expected lead over no column at all [nats]."""
+    left = gram.conditional(rest)[1:, 1:]
+    size = np.diag(left)
+    there = size > 1e-9 * np.diag(gram.full)[1:]
+    r = left[column] / np.sqrt(size[column] * np.where(there, size, np.nan))
+    return np.where(constraints.sign * r * value < 0.0, 0.0, r), 0.5 * value**2 * float(size[column])
 
-    Columns are whitened, with base parameters, run effects and the rest of the model projected out; r is 0 where
-    the sign of the coefficient forbids the imitation.
-    """
+
+def pairs(model: Model) -> Alike:
+    """How well each effect in the model can be told from every other effect (see `imitated`)."""
     gram, constraints = model.gram, model.constraints
     out: dict[str, dict[str, tuple[float, float]]] = {}
-    for a in model.chosen:
+    for value, a in zip(gram.coefficients(model.chosen)[0], model.chosen, strict=True):
         rest = [k for k in model.chosen if k != a]
-        left = gram.conditional(rest)
-        value = float(gram.coefficients(model.chosen)[0][list(model.chosen).index(a)])
-        best: dict[int, float] = {}
-        for b in range(len(constraints.effect)):
-            other = int(constraints.effect[b])
-            if other == constraints.effect[a] or b in rest or left[1 + b, 1 + b] <= 1e-9 * gram.full[1 + b, 1 + b]:
-                continue
-            r = float(left[1 + a, 1 + b] / np.sqrt(left[1 + a, 1 + a] * left[1 + b, 1 + b]))
-            # physics forbids the imitation
-            if constraints.sign[b] * r * value < 0:
-                r = 0.0
-            if abs(r) > abs(best.get(other, -1e-9)) or other not in best:
-                best[other] = r
-        strength = 0.5 * value**2 * float(left[1 + a, 1 + a])
-        row = {constraints.candidates[o].effect: (r, strength * (1 - min(1.0, r * r))) for o, r in best.items()}
-        out.setdefault(constraints.of_column(a).effect, {}).update(row)
+        r, lead = imitated(gram, constraints, rest, a, float(value))
+        row = out.setdefault(constraints.of_column(a).effect, {})
+        others = [b for b in np.flatnonzero(np.isfinite(r)) if constraints.effect[b] != constraints.effect[a]]
+        for b in sorted(
+            (b for b in others if b not in rest), key=lambda b: abs(r[b])
+        ):  # of an effect the likest column
+            row[constraints.of_column(b).effect] = float(r[b]), lead * float(1.0 - min(1.0, r[b] ** 2))
     return out
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.diagnose.execution import ExecutionEffect, _judged, execution_effects, seen_once, told_of
+from missionsim.diagnose.execution import _judged, execution_effects, seen_once, told_of
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.simulate import simulate
+from missionsim.identify.findings import Finding
 from missionsim.inputs.loading import load_mission
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
@@ -60,9 +61,9 @@ def log(seed: int, *, stretch: float = 1.0, tracking: float = 1.0, dwell_s: floa
     return LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
 
 
-def found(plan: Timeline, logs: list[LogTable]) -> dict[str, ExecutionEffect]:
+def found(plan: Timeline, logs: list[LogTable]) -> dict[str, Finding]:
     effects = execution_effects(plan, logs, "robot", 0.01)
-    return {one.effect: one for one in effects if one.found}
+    return {one.effect: one for one in effects if one.level}
 
 
 def test_driven_as_planned_names_nothing(plan: Timeline) -> None:
@@ -84,8 +85,9 @@ def test_each_effect_is_named_alone_with_its_size(
     named = found(plan, [log(seed, **more) for seed in range(6)])
     assert set(named) == {effect}
     one = named[effect]
-    assert one.low < one.value < one.high
-    assert one.value == pytest.approx(value, rel=0.05)
+    k = one.parameters["k"]
+    assert k.low < k.value < k.high
+    assert k.value == pytest.approx(value, rel=0.05)
     assert one.p_value < 0.01
 
 
@@ -98,8 +100,8 @@ def test_longer_and_slower_take_energy(plan: Timeline) -> None:
 
 def test_one_run_says_that_it_cannot_show_scatter(plan: Timeline) -> None:
     effects = execution_effects(plan, [log(0, stretch=1.2)], "robot")
-    assert not any(one.found for one in effects)
-    assert "one run cannot show how it scatters" in {one.reason for one in effects}
+    assert not any(one.level for one in effects)
+    assert "one run cannot show how it scatters" in {one.remark for one in effects}
     (told,) = seen_once(effects)
     assert "path_stretch: 1.2 times the planned way (+" in told
     assert "cannot show whether it repeats" in told
@@ -137,9 +139,9 @@ def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
         logs.append(
             LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
         )
-    named = [one for one in execution_effects(timeline, logs, "robot") if one.found]
+    named = [one for one in execution_effects(timeline, logs, "robot") if one.level]
     assert [(one.effect, one.scheme) for one in named] == [("path_stretch", "path_following")]
-    assert named[0].value == pytest.approx(1.15, abs=0.01)
+    assert named[0].parameters["k"].value == pytest.approx(1.15, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +157,7 @@ def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
     ],
 )
 def test_two_runs_show_what_is_beyond_an_odometers_scale(effect: str, value: float, away: bool) -> None:
-    assert _judged(effect, "", np.full(2, value), 0.05, 1e-3).found is away
+    assert _judged(effect, "", np.full(2, value), 0.05, 1e-3).level == "identified" * away
     once = _judged(effect, "", np.full(1, value), 0.011, 1e-3)
     assert bool(seen_once([once])) is (away or value < 0.0)
     assert not seen_once([replace(once, energy_share=0.009)])
