@@ -170,7 +170,7 @@ def pairs(model: Model) -> Alike:
         rest = [k for k in model.chosen if k != a]
         r, lead = imitated(gram, constraints, rest, a, float(value))
         row = out.setdefault(constraints.of_column(a).effect, {})
-        others = [b for b in np.flatnonzero(np.isfinite(r)) if constraints.effect[b] != constraints.effect[a]]
+        others = [b for b in np.flatnonzero(np.isfinite(r)).tolist() if constraints.effect[b] != constraints.effect[a]]
         for b in sorted(
             (b for b in others if b not in rest), key=lambda b: abs(r[b])
         ):  # of an effect the likest column
