@@ -11,7 +11,6 @@ from missionsim.effects.covariates import Columns
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.data import RunData
-from missionsim.identify.settings import KNOTS
 from missionsim.labels import Labels
 from missionsim.numerals import watts
 from missionsim.physics import Array
@@ -19,6 +18,7 @@ from missionsim.runs.covariates import clock_of, is_switch, may_be_cause
 from missionsim.runs.drive import Driven, assume, drive_blocks, filled
 from missionsim.runs.run import Run
 
+MOST_TEXTS = 12
 FAINT_LOAD = 0.01
 """Part of the mean power below which it does not matter when a component was on."""
 
@@ -203,8 +203,7 @@ def _shared_names(runs: Sequence[Driven], remarks: list[str]) -> set[str]:
 
 
 def _watched(run: Driven, names: frozenset[str], known: Mapping[str, tuple[str, ...]]) -> dict[str, Array]:
-    """Covariates that the remaining error may depend on; texts, of which a curve has a knot each, as their number in
-    `known`."""
+    """Covariates that the remaining error may depend on; text columns as their number in `known`."""
     found: dict[str, Array] = {}
     for name in sorted(names):
         if not may_be_cause(name):
@@ -212,7 +211,7 @@ def _watched(run: Driven, names: frozenset[str], known: Mapping[str, tuple[str, 
         value = run.covariates[name]
         if isinstance(value, Labels):
             order = {text: i for i, text in enumerate(known[name])}
-            if 1 < len(order) <= KNOTS:
+            if 1 < len(order) <= MOST_TEXTS:
                 codes = np.array([*(order.get(text, -1) for text in value.names), -1])
                 found[name] = codes[value.codes].astype(float)
         elif np.shape(value) == run.time_s.shape:

@@ -108,8 +108,8 @@ def test_a_base_parameter_keeps_a_thousandth_of_its_value() -> None:
     assert final._bounds(model, "robot")[0]["standing"] == pytest.approx(1e-3 * at_rest)
 
 
-@pytest.mark.parametrize(("texts", "watched"), [(6, True), (7, False)])
-def test_a_curve_over_texts_has_a_knot_for_each(texts: int, watched: bool) -> None:
+@pytest.mark.parametrize(("texts", "watched"), [(12, True), (13, False)])
+def test_a_column_of_more_than_twelve_texts_is_not_watched(texts: int, watched: bool) -> None:
     floors = [f"floor {i % texts}" for i in range(60)]
     ready = prepared.prepare(
         build_power_model(load_robot("pioneer3dx")), [drive(1, seconds=60.0, surface=floors)], "robot"
