@@ -247,6 +247,7 @@ def diagnose_battery(
             series=series,
             clock=found.choice.model.clock,
             aligned=source.aligned,
+            file_clock=subject.model.meter(battery),
         )
     )
 

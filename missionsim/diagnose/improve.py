@@ -16,15 +16,7 @@ from missionsim.diagnose.leftover import beyond_note, fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
-from missionsim.diagnose.waterfall import (
-    CLEAR_SHARE,
-    Step,
-    best_before,
-    clearly_better,
-    noise_floor,
-    unseen_note,
-    worse_note,
-)
+from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
@@ -119,7 +111,7 @@ class Improved:
             return "", ""
         *bars, last = self.steps[:-1]
         best = best_before([*bars, last]) if self.worse else 1
-        if self.worse and last.power_rmse_w < (1.0 - CLEAR_SHARE) * bars[best].power_rmse_w:
+        if self.worse and last.power_rmse_w < bars[best].power_rmse_w:
             less = (
                 "as it was" if before.energy_error_pct <= recalibrated.energy_error_pct else "with its base fitted anew"
             )
@@ -327,6 +319,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     rounds = Rounds(State(text, text, seen.models, first), split, battery, settings, ask, priors)
     end = rounds.best()
     text, models, last, taken = end.text, end.models, end.last, end.taken
+    if taken:  # what `diagnose` says of the file: it knows nothing of the base beside these logs
+        last = diagnose_battery(Subject.of(robot_from_text(text)), split, battery, None, settings)
     added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(heldout, added, start.model.batteries, models.runs)
@@ -385,6 +379,8 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
     if last.verdict == "unexplained_structure" and last.unexplained.shape:
         told = f"something remains that {last.unnamed}: {last.unexplained.shape}."
         return told + (f" Beside that, {unseen}." if unseen else "")
+    if named := [e.effect for e in last.effects if e.effect not in (*declined, *nothing)]:
+        return f"diagnose of the file names {' and '.join(named)} beside it: improve that file once more."
     if declined:
         return f"declined: {', '.join(declined)}."
     if unseen:

@@ -82,7 +82,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         for where in battery.where
     ]
     edge = "; at the edge of what is searched: check the clocks" if battery.clock_at_edge else ""
-    clock = f"meter {meter_clock(battery.delay_s, battery.lag_s)} (applied{edge})"
+    had = f"; the file has it {meter_clock(*battery.file_clock)}" if any(battery.file_clock) else ""
+    clock = f"meter {meter_clock(battery.delay_s, battery.lag_s)} (applied{had}{edge})"
     lines.append(("CLOCK", clock if battery.aligned else "taken as logged"))
     lines.append(("NOISE", _noise(battery)))
     lines += [("FOUND", found_line(effect)) for effect in clear]

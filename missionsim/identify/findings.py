@@ -268,6 +268,8 @@ class BatteryDiagnosis(Findings):
     """Clock of meter and motion that was found, for comparing other models at the same one."""
     aligned: bool = True
     """Whether the clocks were looked at; else they are as logged."""
+    file_clock: tuple[float, float] = (0.0, 0.0)
+    """Delay and lag of the meter that the robot file has [s]."""
 
     @property
     def unnamed(self) -> str:

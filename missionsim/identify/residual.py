@@ -179,17 +179,20 @@ def dependences(model: Model) -> list[Structure]:
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
             if name not in out or out[name].gain_nats < gain:
-                shape = _words(name, times, knots, values, 2.0 * gain / len(fitted))
+                shape = _words(model, name, times, knots, values, fitted)
                 out[name] = Structure(name, p_value * len(tests), gain, size, shape, times)
             break
     return sorted(out.values(), key=lambda s: -s.gain_nats)
 
 
-def _words(name: str, times: str, knots: Array, values: Array, share: float) -> str:
-    """What is said of a curve with values at the knots beyond the first, which is its reference. `share`: of the
-    variance of the whitened residual."""
+def _words(model: Model, name: str, times: str, knots: Array, values: Array, power_w: Array) -> str:
+    """What is said of a curve with values at the knots beyond the first, which is its reference. `power_w`: of the
+    curve in each row [W]; what the base can take of it is not told."""
+    layout = model.design.layout
+    base = model.design.gradient[: len(layout.parameters)].T
+    left_w = power_w - base @ np.linalg.lstsq(base, power_w, rcond=1e-9)[0]
     what = f"residual varies with {plain(name)}" + (f" (times {plain(times)})" if times else "")
-    what += f" ({100 * share:.1f} % of its variance)"
+    what += f" (by {100 * float(np.mean(np.abs(left_w))) / layout.mean_power_w:.1f} % of the power)"
     if len(values) != len(knots) - 1 or known(name).text:
         return what
     curve = np.append(0.0, values)
@@ -316,8 +319,8 @@ def wrong_form(model: Model, column: int) -> Structure | None:
         sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
         if own < GROSS * free or (own < ratio * free and sure):
             size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-            part = 2.0 * beyond / rows.shape[1]
-            words = f"{plain(covariate)}: form not right ({_words(covariate, times, knots, values, part)})"
+            curve = _words(model, covariate, times, knots, values, values @ rows)
+            words = f"{plain(covariate)}: form not right ({curve})"
             return Structure(covariate, p_value, beyond, size, words)
     return None
 

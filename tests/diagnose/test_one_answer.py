@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from pathlib import Path
 
 import pytest
 
+from missionsim.compare.core import compare_files
 from missionsim.diagnose.adopt import NotSignificant, adopt
-from missionsim.diagnose.diagnosis import diagnose_battery
+from missionsim.diagnose.diagnosis import diagnose, diagnose_battery
 from missionsim.diagnose.examine import Subject
 from missionsim.diagnose.improve import improve
-from missionsim.diagnose.split import Split
-from missionsim.diagnose.words import headline
+from missionsim.diagnose.split import Split, choose_split
+from missionsim.diagnose.words import headline, report
 from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.findings import BatteryDiagnosis
 from missionsim.identify.settings import Settings
 from missionsim.importer.mapping import import_source
+from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_map, robot_from_text
-from missionsim.logs import LogTable
+from missionsim.logs import LogTable, read_logs
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +70,21 @@ def test_what_the_parts_of_a_drive_are_predicted_as_well_without_is_not_named(wa
     # one number, one interval
     reach = (turning.share_high - turning.share_low) / turning.energy_share
     assert reach >= (k.high - k.low) / k.value * (1.0 - 1e-9)
+
+
+def test_what_improve_says_is_left_is_what_diagnose_says_of_its_file(root: Path, tmp_path: Path) -> None:
+    """It held the base by what was known before these logs, which no command can know of the file that it wrote."""
+    runs = root / "docs" / "examples" / "ramp_runs"
+    split = choose_split(read_logs([runs]))
+    made = improve(robot_text("pioneer3dx"), split, "robot", Settings(), lambda *_: True)
+    found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
+    assert json.dumps(made.last.to_json()) == json.dumps(found.to_json())
+    assert found.unexplained.shape in made.stopped
+    assert "(applied; the file has it 0.32 s ahead of the motion" in dict(report(found))["CLOCK"]
+    # what is told of the slope is what compare sees of it
+    (told,) = map(float, re.findall(r"slope .*\(by ([\d.]+) % of the power\)", found.unexplained.shape))
+    robot = tmp_path / "improved.yaml"
+    robot.write_text(made.text, encoding="utf-8")
+    seen = compare_files(str(robot), [runs]).batteries["robot"]
+    explained = next(one.explained for one in seen.dependences if one.by == "slope_rad")
+    assert told == pytest.approx(100.0 * math.sqrt(explained) * seen.power_rmse_w / found.mean_power_w, rel=0.5)

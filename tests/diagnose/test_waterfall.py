@@ -27,6 +27,7 @@ from missionsim.identify.noise import mean_variance
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from tests.diagnose.test_words import BATTERY, GRADE, HELD
 
+NONE_NAMED = replace(BATTERY, effects=(), verdict="nothing_missing")
 WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")
 
 
@@ -83,9 +84,11 @@ def test_energy_note_weighs_the_rise_against_the_floor(after_pct: float, runs: i
 def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
     quiet = replace(BATTERY, verdict="effects_found", unexplained=left)
     assert left.shape in _why(replace(quiet, verdict="unexplained_structure"), ())
-    assert _why(BATTERY, ()) == "nothing is left above the detection limits."
-    assert "what remains" in _why(quiet, ())
-    assert "nothing is left" not in _why(quiet, ())
+    assert _why(NONE_NAMED, ()) == "nothing is left above the detection limits."
+    assert _why(BATTERY, ()) == "diagnose of the file names grade beside it: improve that file once more."
+    told = _why(replace(quiet, effects=()), ())
+    assert "what remains" in told
+    assert "nothing is left" not in told
     assert left.shape in words.headline(quiet)
     assert left.shape in dict(words.report(quiet))["REMAINS"]
 
@@ -194,7 +197,7 @@ def test_an_error_that_only_recalibration_lowers_is_said_so() -> None:
 
 def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> None:
     """1.2 % is the floor of these logs: runs that are hotter than all that were fitted, 20 % off."""
-    quiet = replace(BATTERY, effects=(), verdict="nothing_missing", runs=("a", "b", "c", "d"))
+    quiet = replace(NONE_NAMED, runs=("a", "b", "c", "d"))
     assert "No evidence of anything missing" in words.headline(quiet)
     assert _why(quiet, ()) == "nothing is left above the detection limits."
     held = HeldOut("the last run", ("run_05",), {"nominal": 20.0, "recalibrated": 20.6, "with_effects": 20.6}, HELD)
@@ -227,8 +230,8 @@ def test_a_model_beside_which_something_remains_is_not_good() -> None:
     done = improved(0.1)
     left = "something remains that the library does not contain: a load."
     assert "verdict warn" in improve_page("r", [replace(done, stopped=left)])
-    assert "verdict good" in improve_page("r", [replace(done, stopped=_why(BATTERY, ()))])
-    assert "verdict bad" in improve_page("r", [replace(improved(3.0), stopped=_why(BATTERY, ()))])
+    assert "verdict good" in improve_page("r", [replace(done, stopped=_why(NONE_NAMED, ()))])
+    assert "verdict bad" in improve_page("r", [replace(improved(3.0), stopped=_why(NONE_NAMED, ()))])
 
 
 def test_a_noise_floor_that_no_model_is_above_is_told_as_a_bound() -> None:

@@ -82,7 +82,8 @@ def test_a_lead_counts_in_runs_in_which_two_powers_differ_by_half(alike: float, 
 def free_curve(monkeypatch: pytest.MonkeyPatch, answer: Any) -> SimpleNamespace:
     """A model whose free curve over the covariate has five values; `answer` gives gain and p by the judge, which is the
     model away from ramps or the model, by the number of rows and of columns in the model."""
-    model, away = (SimpleNamespace(design=SimpleNamespace(layout=LAYOUT, phi=np.ones((1, 2)))) for _ in range(2))
+    rows = {"phi": np.ones((1, 2)), "gradient": np.zeros((1, 2))}
+    model, away = (SimpleNamespace(design=SimpleNamespace(layout=LAYOUT, **rows)) for _ in range(2))
     model.constraints, model.chosen = constraints(COVARIATE), (0,)
     model.source = SimpleNamespace(covariates=(COVARIATE,))
 
