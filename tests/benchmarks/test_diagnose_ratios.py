@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import diagnose_files
-from tests.benchmarks.conftest import MISSIONSIM, cost
+from tests.benchmarks.conftest import MISSIONSIM, InTurns, cost
 from tests.hidden_effects import features, peers
 from tests.hidden_effects.world import Case, make, write
 
@@ -113,15 +113,14 @@ def test_diagnosis_beside_simpler_methods_on_equal_rows(folder: Path) -> None:
         assert seconds["missionsim"] < most * seconds[name]
 
 
-def test_time_grows_no_faster_than_rows(folder: Path) -> None:
+def test_time_grows_no_faster_than_rows(folder: Path, in_turns: InTurns) -> None:
     logs = sorted((folder / "train").glob("*.csv"))[:4]
 
     def named(runs: int) -> None:
         found = diagnose_files("pioneer3dx", logs[:runs], holdout="none").batteries["robot"]
         assert [effect.effect for effect in found.effects] == ["grade"]
 
-    diagnose_files("pioneer3dx", logs[:2], holdout="none")  # imports
-    one, two = cpu_seconds(lambda: named(2), lambda: named(4), rounds=1)
+    two, one = in_turns(lambda: named(4), lambda: named(2), 2.6)
     print(f"2 runs {one:.2f} s, 4 runs {two:.2f} s, exponent {np.log2(two / one):.2f}")
     assert two < 2.6 * one
 

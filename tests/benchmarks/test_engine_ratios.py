@@ -20,8 +20,10 @@ import simpy
 from missionsim.control import PowerPredictor
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
+from missionsim.errors import InputError
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
+from missionsim.online import OnlinePredictor
 from missionsim.results import write_results
 from missionsim.results.whatif import Alternative, run_alternatives, varied
 from missionsim.results.write import tables
@@ -211,6 +213,38 @@ def test_cost_of_an_event_within_ten_bare_timeouts(
     ours, theirs = (seconds / steps for seconds in in_turns(lambda: simulate(mission), bare, 10.0))
     print(f"ours {ours * 1e6:.1f} µs an event, bare timeout {theirs * 1e6:.2f} µs, ratio {ours / theirs:.1f}")
     assert ours / theirs < 10.0
+
+
+def test_samples_of_a_log_cost_the_same_each_on_line(root: Path, in_turns: InTurns) -> None:
+    """The on-line predictor's memory and work do not grow while a mission runs."""
+    mission = load_mission(root / "missions/khepera3/tunnel_inspection.yaml")
+
+    def feed(samples: int) -> int:
+        time_s = 0.05 * np.arange(samples)
+        columns = {"time_s": time_s, "power_robot_w": 4.0 + np.sin(time_s), "speed_m_s": np.full(samples, 0.1)}
+        return len(list(OnlinePredictor.from_mission(mission).feed(columns, every_s=1.0)))
+
+    assert feed(3_000) == 151
+    most, parts = in_turns(lambda: [feed(24_000)], lambda: [feed(3_000) for _ in range(8)], 2.0)
+    print(f"20 minutes at 20 Hz take {most / parts:.2f} times as long as 8 times 2.5 minutes")
+    assert most / parts < 2.0
+
+
+def test_faults_cost_the_same_each(tmp_path: Path, in_turns: InTurns) -> None:
+    """Eight times the faults: 64 times the work would be quadratic."""
+    paths = {count: tmp_path / f"{count}.yaml" for count in (100, 800)}
+    for count, path in paths.items():
+        lines = "  - drvie: {distance: 3 m}\n  - wait: {duration: 3 m}\n" * (count // 2)
+        path.write_text(f"kind: mission\nname: long\nrobot: pioneer3dx\nsegments:\n{lines}", encoding="utf-8")
+
+    def told(count: int) -> None:
+        with pytest.raises(InputError) as caught:
+            load_mission(paths[count])
+        assert len(caught.value.faults) == count
+
+    many, few = in_turns(lambda: told(800), lambda: told(100), 24.0)
+    print(f"800 faults are told in {many / few:.1f} times the time of 100")
+    assert many / few < 24.0
 
 
 def test_a_table_of_speeds_costs_little_more_than_a_point() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.uncertainty.batch import BLOCK_RUNS, Prepared, Task, prepare
+from missionsim.uncertainty.batch import BLOCK_RUNS, Prepared, Task, _prepared, prepare
 from missionsim.uncertainty.single import simulate_block
 from tests.benchmarks import forty
 from tests.benchmarks.conftest import MISSIONSIM, InTurns, cost
@@ -158,6 +158,20 @@ def test_cost_is_linear_in_runs(patrol: Prepared) -> None:
         ratios.append(least(lambda: [arrays.block(SEED, first, RUNS) for first in parts], 1) / few)
     print(f"\n4 blocks cost {statistics.median(ratios):.2f} times as much as 4 times the first")
     assert statistics.median(ratios) < 1.25
+
+
+def test_ten_times_as_many_uncertain_values_compile_in_proportion(tmp_path: Path, in_turns: InTurns) -> None:
+    """Quadratic would be a hundred times the work."""
+    pair = "{distance: {value: LENGTH m, sd: 2 %}, speed: {value: 0.5 m/s, sd: 3 %}}"
+    tasks = {}
+    for count in (10, 100):
+        path = tmp_path / f"{count}.yaml"
+        drives = "".join(f"  - drive: {pair.replace('LENGTH', str(10 + i % 7))}\n" for i in range(count))
+        path.write_text(f"kind: mission\nname: many\nrobot: pioneer3dx\nsegments:\n{drives}", encoding="utf-8")
+        tasks[count] = Task(str(path), (), None, 1, "arrays")
+    many, few = in_turns(lambda: _prepared.__wrapped__(tasks[100]), lambda: _prepared.__wrapped__(tasks[10]), 30.0)
+    print(f"\n100 uncertain drives compile in {many / few:.1f} times the time of 10")
+    assert many / few < 30.0
 
 
 @pytest.mark.study

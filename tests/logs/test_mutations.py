@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections
 import re
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from tests.logs.bag_writers import write_ardupilot, write_bag, write_ulog
 from tests.logs.conftest import motion, write_csv
 
 KINDS = ("csv", "parquet", "jsonl", "ulog", "ardupilot", "ros1", "sqlite3", "mcap", "lone mcap")
-SLOW_S = 10.0
 
 
 def make(kind: str, folder: Path) -> Path:
@@ -82,13 +80,10 @@ def remarks_of(logs: list[LogTable]) -> set[str]:
 
 def outcome(path: Path, map_path: Path | None, rows: int, before: set[str]) -> str:
     """What becomes of a damaged file."""
-    begin = time.monotonic()
     try:
         logs = [read_log(path)] if map_path is None else import_source(path, load_map(map_path))
     except InputError as error:
         return "refused" if str(error) else "refused without a word"
-    finally:
-        assert time.monotonic() - begin < SLOW_S, "too slow"
     if remarks_of(logs) - before:
         return "told"
     lost = rows - sum(log.rows for log in logs)

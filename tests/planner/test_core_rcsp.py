@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from missionsim.planner.core import Bounds, Label, Leaving, search
+from missionsim.planner.core import Bounds, Label, Leaving, Outcome, search
 
 
 class _Graph:
@@ -58,25 +57,22 @@ class _Graph:
         return Bounds(np.concatenate([[math.inf], self.upper]), least, weights, least[:, :1], np.zeros(1))
 
 
-def _solve(path: Path) -> tuple[float, float]:
-    graph = _Graph(path)
+def _solve(graph: _Graph) -> Outcome:
     assert (graph.lower == 0.0).all()
-    began = time.process_time()
     start = Label(0, np.zeros((1, graph.use.shape[1])))
-    outcome = search(graph, [start], lambda node: node == graph.nodes - 1, graph.bounds())
-    return outcome.objective, time.process_time() - began
+    return search(graph, [start], lambda node: node == graph.nodes - 1, graph.bounds())
 
 
 def test_all_published_optima(shared: Path) -> None:
     folder = shared / "planning" / "rcsp"
     answers = {row["file"]: row["cost"] for row in csv.DictReader((folder / "results.csv").open())}
     assert len(answers) == 18
-    slow = {}
     for name, cost in answers.items():
-        objective, seconds = _solve(folder / f"{name}.txt")
+        found = _solve(_Graph(folder / f"{name}.txt"))
         if cost == "infeasible":
-            assert math.isinf(objective), name
+            assert math.isinf(found.objective), name
         else:
-            assert objective == pytest.approx(float(cost), abs=1e-6), name
-        slow[name] = seconds
-    assert max(slow.values()) < 0.5, slow
+            assert found.objective == pytest.approx(float(cost), abs=1e-6), name
+        # of 1,000 to 5,000 arcs; at most 547 and 709 when this was written
+        assert found.labels < 1000, name
+        assert found.arcs < 1000, name

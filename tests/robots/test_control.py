@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -29,16 +27,17 @@ def test_horizon_is_the_sum_of_its_steps(rover: PowerPredictor) -> None:
     assert energy[7] == pytest.approx(total, rel=1e-12)
 
 
-def test_horizon_of_20_steps_by_50_candidates_takes_well_under_10_ms(rover: PowerPredictor) -> None:
-    speeds = np.random.default_rng(0).uniform(1.0, 5.0, (50, 20))
-    clocks = np.random.default_rng(1).choice(rover.clocks(), (50, 20))
-    rover.horizon_energy(speeds, 0.1, clocks)
-    seconds = []
-    for _ in range(30):
-        start = time.process_time()
-        rover.horizon_energy(speeds, 0.1, clocks)
-        seconds.append(time.process_time() - start)
-    assert np.median(seconds) < 0.005
+def test_a_horizon_is_one_evaluation(rover: PowerPredictor, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many candidates and steps; the benchmarks hold what the points of an evaluation cost."""
+    shapes: list[tuple[int, ...]] = []
+
+    def counted(speed: np.ndarray, *more: object, **covariates: object) -> np.ndarray:
+        shapes.append(speed.shape)
+        return np.ones_like(speed)
+
+    monkeypatch.setattr(rover, "power", counted)
+    rover.horizon_energy(np.full((50, 20), 2.0), 0.1, np.full((50, 20), rover.clocks()[0]))
+    assert shapes == [(50, 20)]
 
 
 def test_optimum_keeps_the_service(rover: PowerPredictor) -> None:
@@ -73,7 +72,6 @@ def test_finer_is_more_exact_and_dearer(rover: PowerPredictor) -> None:
     assert errors == sorted(errors, reverse=True)
     assert len(set(errors)) == len(errors)
     assert np.all(np.diff([item.evaluations for item in measured]) > 0)
-    assert measured[-1].seconds > measured[0].seconds
     assert all(item.mean_error_pct <= item.max_error_pct for item in measured)
     assert measured[-1].regret_pct == 0.0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -114,20 +113,6 @@ def test_a_run_beyond_the_batch_is_refused(capsys: pytest.CaptureFixture[str]) -
     assert "0 to 19" in capsys.readouterr().err
     assert run_command(["montecarlo", PATROL, "--runs", "20", "--only", "19", "--quiet"]) == 0
     assert run_command(["montecarlo", PATROL, "--only", "5000", "--quiet"]) == 0
-
-
-def test_a_mission_with_hundreds_of_uncertain_values_compiles_quickly(tmp_path: Path) -> None:
-    times = []
-    for count in (20, 200):
-        drives = "".join(
-            f"  - drive: {{distance: {{value: {10 + i % 7} m, sd: 2 %}}, speed: {{value: 0.5 m/s, sd: 3 %}}}}\n"
-            for i in range(count)
-        )
-        path = written(tmp_path, f"segments:\n{drives}")
-        begin = time.process_time()
-        assert prepare(Task(path, (), None, 1, "auto")).arrays is not None
-        times.append(time.process_time() - begin)
-    assert times[1] < 30.0 * times[0]  # ten times the values; quadratic would be a hundred times the work
 
 
 def test_runs_in_which_a_drawn_length_makes_another_way_shorter_take_it(tmp_path: Path) -> None:
