@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.diagnose.features import Features
-from missionsim.diagnose.split import parts_of
+from missionsim.diagnose.split import beyond, parts_of
 from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit, of_formula
@@ -228,7 +228,9 @@ class Models:
         errors = {kind: self.errors(model, runs) for kind, model in zip(KINDS, models, strict=True)}
         energy_pct = {kind: one.run_energy_error_pct for kind, one in errors.items()}
         rmse_w = {kind: one.power_rmse_w for kind, one in errors.items()}
-        return HeldOut(how, tuple(run.run for run in runs), energy_pct, rmse_w, shifted)
+        names = tuple(run.run for run in runs)
+        labels, numbers = beyond([run for run in self.runs if run.run not in names], runs)
+        return HeldOut(how, names, energy_pct, rmse_w, shifted or bool(labels), (*labels, *numbers))
 
     def without(self, effects: Sequence[Finding], runs: Sequence[Run]) -> dict[str, float]:
         """Power RMSE on runs with every effect but one, the rest fitted again, by the effect that is left out [W]."""

@@ -12,7 +12,7 @@ from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import NO_PRIOR_SD, Subject, examine, prior_before
 from missionsim.diagnose.heldout import Models
-from missionsim.diagnose.leftover import beyond_note, fed_note, straight_note
+from missionsim.diagnose.leftover import fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
@@ -353,7 +353,6 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         first,
         last,
         stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested)
-        + (beyond_note(models.runs, heldout) if unseen_note(last) else "")
         + fed_note(last, battery, models.runs, heldout)
         + (straight_note(powers[f"+ {taken[-1].effect}"], models.runs, battery) if taken else "")
         + "".join(f" {one.effect}: {one.doubt}." for one in doubted if one.doubt),

@@ -16,10 +16,8 @@ from missionsim.identify.findings import BatteryDiagnosis, Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
 from missionsim.identify.settings import CLEAR_OF_NOISE, CLEAR_T, MOST_OF_SQUARE, SEVERAL_RUNS, SMALL_TIME
-from missionsim.labels import Labels
 from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
-from missionsim.runs.covariates import may_be_cause
 from missionsim.runs.error import errors_of
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
 from missionsim.runs.run import Run
@@ -98,26 +96,6 @@ def standing_out(
         f"{100 * time_share:.0f} % of the time; no effect of the library describes it"
     )
     return Structure(VARIES.get(MOTIONS[kind], ""), 0.0, 0.0, abs(bias_w) * time_share / mean_power_w, told)
-
-
-BEYOND_SD = 2.0
-"""Standard deviations of the fitted runs' means from which on other runs lie beyond them (assumed)."""
-
-
-def beyond_note(fitted: Sequence[Run], others: Sequence[Run]) -> str:
-    """In words, the columns whose mean over other runs lies beyond those of the fitted runs, and those with texts that
-    none has; empty where there are none."""
-    found = []
-    for name in sorted(set.intersection(*(set(run.covariates()) for run in (*fitted, *others)))):
-        here, there = ([run.columns[name] for run in own] for own in (fitted, others))
-        texts = [{str(text) for x in own if isinstance(x, Labels) for text in x.texts()} for own in (here, there)]
-        if new := sorted(texts[1] - texts[0]):
-            found.append(f"{name} ({', '.join(new)})")
-        elif may_be_cause(name) and not texts[0]:
-            means, other = (np.array([np.mean(run.number(name)) for run in own]) for own in (fitted, others))
-            away = abs(float(other.mean() - means.mean()))
-            found += [name] if away > max(float(np.ptp(means)) / 2.0, BEYOND_SD * float(means.std())) else []
-    return f" They lie beyond the fitted ones in {', '.join(found)}." if found else ""
 
 
 MUCH = 0.03

@@ -19,7 +19,7 @@ from missionsim.expressions import compile_expression
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
 from missionsim.labels import Labels
 from missionsim.runs.admit import admit, admit_to_test
-from missionsim.runs.covariates import is_switch, logged_name
+from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
 from missionsim.runs.drive import filled
 from missionsim.runs.run import Bounded, Run
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 FEWEST_RUNS = 4
 """With fewer runs none is held out unless the user says so."""
+BEYOND_SD = 2.0
+"""Standard deviations of the fitted runs' means from which on other runs lie beyond them (assumed)."""
 
 
 @dataclass(frozen=True)
@@ -229,6 +231,22 @@ def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequenc
         kept,
         f"{names}: no {', '.join(lacking)}, which the other runs have and effects depend on; left out of the fit",
     )
+
+
+def beyond(fitted: Sequence[Run], others: Sequence[Run]) -> tuple[list[str], list[str]]:
+    """Labels of which other runs have texts that no fitted run has, with these; and columns whose mean over them lies
+    beyond the fitted runs' (a heading has no beyond)."""
+    labels, numbers = [], []
+    for name in sorted(set.intersection(*(set(run.covariates()) for run in (*fitted, *others))) - {"heading_rad"}):
+        here, there = ([run.columns[name] for run in own] for own in (fitted, others))
+        texts = [set().union(*map(_texts, own)) - {""} for own in (here, there)]
+        if new := sorted(texts[1] - texts[0]):
+            labels.append(f"{name} ({', '.join(new)})")
+        elif may_be_cause(name) and not texts[0]:
+            means, other = (np.array([np.mean(run.number(name)) for run in own]) for own in (fitted, others))
+            away = abs(float(other.mean() - means.mean()))
+            numbers += [name] if away > max(float(np.ptp(means)) / 2.0, BEYOND_SD * float(means.std())) else []
+    return labels, numbers
 
 
 def lacking(

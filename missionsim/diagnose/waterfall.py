@@ -112,10 +112,11 @@ def unseen_note(battery: BatteryDiagnosis) -> str:
     floor_pct = noise_floor(battery)[0]
     if left_pct <= SEVERAL * floor_pct * math.sqrt(1.0 + 1.0 / max(len(battery.runs), 1)):
         return ""
+    columns = ", ".join(battery.heldout.beyond)
     return (
         f"the energy of the runs not used is off by {left_pct:.1f} %, where a right model would be by {floor_pct:.1f} "
         "%: something is missing that the fitted runs do not show. Fit runs of that kind too, or log what differs "
-        "in them"
+        f"in them{'; they lie beyond the fitted ones in ' * bool(columns)}{columns}"
     )
 
 

@@ -93,7 +93,7 @@ def ranges_of(runs: Sequence[Run], origin: Json | None = None) -> Json:
     """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors. `origin`: of
     a robot file, whose ranges they join."""
     found: Json = dict((origin or {}).get("range", {}))
-    for name in COVARIATES:
+    for name in (name for name in COVARIATES if name != "heading_rad"):  # an angle has no range
         columns = [run.columns[name] for run in runs if name in run.columns]
         before = found.get(name, [])
         if name == "surface" and columns:

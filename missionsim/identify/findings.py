@@ -207,6 +207,8 @@ class HeldOut(Record):
     RMS of the power error at the analysis rate."""
     shifted: bool = False
     """Whether the runs differ in kind from the fitted ones."""
+    beyond: tuple[str, ...] = ()
+    """Columns in which they lie beyond them."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.leftover import beyond_note, fed_note, standing_out, straight_note
-from missionsim.diagnose.split import Split
+from missionsim.diagnose.leftover import fed_note, standing_out, straight_note
+from missionsim.diagnose.split import Split, beyond
 from missionsim.identify.findings import Judged, Structure
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
@@ -135,10 +135,20 @@ def test_what_the_runs_not_used_have_beyond_the_fitted_ones_is_told() -> None:
         return drawing(log, log.power_w["robot"], temp_ambient_c=np.full(100, warm_c))
 
     summer = [run(seed, 15.0 + 4.0 * seed, "tile" if seed % 2 else "grass") for seed in range(4)]
-    assert beyond_note(summer, [run(4, 2.0, "tile"), run(5, -4.0, "snow")]).endswith("surface (snow), temp_ambient_c.")
+    winter = [run(4, 2.0, "tile"), run(5, -4.0, "snow")]
+    assert beyond(summer, winter) == (["surface (snow)"], ["speed_m_s", "temp_ambient_c"])
     # the fitted ones have 15 to 27 degC, a standard deviation of 4.5 about 21
-    assert beyond_note(summer, [run(6, 29.5, "tile")]) == ""
-    assert "temp_ambient_c" in beyond_note(summer, [run(6, 30.5, "tile")])
+    assert "temp_ambient_c" not in beyond(summer, [run(6, 29.5, "tile")])[1]
+    assert "temp_ambient_c" in beyond(summer, [run(6, 30.5, "tile")])[1]
+    # an angle has no beyond
+    turned = [drawing(one, one.power_w["robot"], heading_rad=np.full(100, 9.0 * i)) for i, one in enumerate(summer)]
+    assert "heading_rad" not in beyond(turned[:3], turned[3:])[1]
+    found = diagnose_battery(
+        Subject.of(load_robot("pioneer3dx")), Split(tuple(summer), tuple(winter), "later"), "robot", None, Settings()
+    )
+    assert found.heldout is not None
+    assert {"surface (snow)", "temp_ambient_c"} <= {*found.heldout.beyond}
+    assert found.heldout.shifted  # no run of its kind was fitted
 
 
 @pytest.mark.parametrize(("here", "there", "told"), [(0.005, 0.028, False), (0.005, 0.032, True), (0.015, 0.5, False)])
