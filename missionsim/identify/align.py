@@ -31,8 +31,8 @@ LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899
 """Gauss-Laguerre nodes: a first-order lag is an exponentially weighted mean of delays."""
 
 Weights = tuple[Any, Array]
-"""Of one clock: a sparse matrix (edges, 2 * edges of the rows) for the stacked curves, and how many rows each interval
-covers, shape (intervals,)."""
+"""Of one clock: a sparse matrix (edges, 2 * edges of the rows) for the stacked curves, and the time in the rows of each
+edge [s], shape (edges,)."""
 
 
 @dataclass(frozen=True)
@@ -97,68 +97,65 @@ def make_bins(run: RunData, period_s: float) -> Bins:
 
 
 @dataclass(frozen=True)
-class EvenGrid:
-    """How columns at the rows of one run are put on an even grid, unchanged where the rows already are even.
+class Rows:
+    """Rows of one run as columns are kept: as they were logged, or means of those that are faster than `FINEST_STEP_S`.
 
-    ``before`` and ``inside_s`` say in which row, and how far behind its edge, each edge of the even grid lies.
+    Each keeps its own edges. On an even grid in their place, rows at uneven times would be mixed with their neighbours,
+    which takes the height off whatever changes from row to row, and from acceleration most.
     """
 
-    start_s: float
-    step_s: float
-    length_s: Array
-    before: NDArray[np.intp] | None = None
-    inside_s: Array | None = None
+    edges_s: Array
+    """Shape (rows + 1,)."""
+    starts: NDArray[np.intp] | None = None
+    logged_s: Array | None = None
+    """Both only where rows were put together: the first logged row of each, and the length of every logged one."""
 
     @classmethod
-    def of(cls, run: RunData) -> EvenGrid:
-        """Grid of a run."""
+    def of(cls, run: RunData) -> Rows:
+        """Rows of a run; none is put together with the rows beside a gap."""
         edges, step = _row_edges(run.time_s)
-        length = np.diff(edges)
-        if bool(np.all(np.abs(np.diff(run.time_s) - step) <= 0.02 * step)) and step >= 0.99 * FINEST_STEP_S:
-            return cls(float(edges[0]), step, length)
-        target = max(step, FINEST_STEP_S)
-        count = max(2, int(np.ceil((edges[-1] - edges[0]) / target - 1e-6)))
-        target = float(edges[-1] - edges[0]) / count  # no part of a row beyond the end
-        grid = np.linspace(edges[0], edges[-1], count + 1)
-        before = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, len(length) - 1)
-        return cls(float(edges[0]), target, length, before, grid - edges[before])
+        if step >= 0.99 * FINEST_STEP_S:
+            return cls(edges)
+        logged = np.diff(edges)
+        cell = np.floor((edges[:-1] - edges[0]) / FINEST_STEP_S + 1e-6)
+        apart = logged > GAP_ROWS * step
+        starts = np.flatnonzero(np.append(True, (np.diff(cell) > 0.0) | apart[1:] | apart[:-1]))
+        return cls(np.append(edges[starts], edges[-1]), starts, logged)
 
     def on(self, values: Array) -> Array:
-        """Columns (k, rows) as means over the rows of the even grid, which keep their integral."""
-        if self.before is None or self.inside_s is None:
+        """Columns (k, logged rows) as means over these rows, which keep their integral."""
+        if self.starts is None or self.logged_s is None:
             return values
-        cumulative = np.zeros((values.shape[0], values.shape[1] + 1))
-        np.cumsum(values * self.length_s, axis=1, out=cumulative[:, 1:])
-        at_edges = values.take(self.before, axis=1)
-        at_edges *= self.inside_s
-        at_edges += cumulative.take(self.before, axis=1)
-        return np.asarray((at_edges[:, 1:] - at_edges[:, :-1]) / self.step_s)
+        whole = np.add.reduceat(values * self.logged_s, self.starts, axis=1)
+        return np.asarray(whole / np.diff(self.edges_s))
 
 
 @dataclass
 class RunColumns:
-    """Columns of one run on an even raw grid, ready to be lagged, delayed and averaged; ``values`` (columns, rows)."""
+    """Columns of one run, ready to be lagged, delayed and averaged; ``values`` (columns, rows)."""
 
     bins: Bins
-    grid: EvenGrid
+    rows: Rows
     values: Array
 
     @classmethod
-    def of(cls, run: RunData, bins: Bins, rows: Sequence[Array]) -> RunColumns:
-        """Put the given raw columns on an even grid (unchanged where the rows already are even)."""
-        grid = EvenGrid.of(run)
-        return cls(bins, grid, grid.on(np.ascontiguousarray(np.vstack([np.asarray(r, dtype=float) for r in rows]))))
+    def of(cls, run: RunData, bins: Bins, columns: Sequence[Array]) -> RunColumns:
+        """The given columns, one value for each logged row."""
+        rows = Rows.of(run)
+        return cls(bins, rows, rows.on(np.ascontiguousarray(np.vstack([np.asarray(c, dtype=float) for c in columns]))))
 
 
-def integral_curves(columns: Sequence[Array]) -> Array:
-    """Cumulative integral of columns (unit step) of each run as a cubic inside each row, runs one after the other.
+def integral_curves(columns: Sequence[Array], rows: Sequence[Rows]) -> Array:
+    """Cumulative integral of columns of each run as a cubic inside each row, runs one after the other.
 
-    Its slope at a row's edge is the mean of the neighbours, limited so that the cubic stays monotone; a linear ramp
-    between rows is thereby reproduced although each row holds only its mean.
+    Its slope at a row's edge is the value that a straight line between the neighbours' middles has there, limited so
+    that the cubic stays monotone; a linear ramp between rows is thereby reproduced although each row holds its mean.
 
     Parameters
     ----------
     columns : sequence of ndarray, shape (k, rows of the run)
+    rows : sequence of Rows
+        When those rows are.
 
     Returns
     -------
@@ -167,18 +164,20 @@ def integral_curves(columns: Sequence[Array]) -> Array:
     """
     out = np.empty((2, sum(values.shape[1] + 1 for values in columns), columns[0].shape[0]))
     begin = 0
-    for values in columns:
-        rows = np.ascontiguousarray(values.T)
-        integral, slope = out[:, begin : begin + len(rows) + 1]
-        begin += len(rows) + 1
+    for values, own in zip(columns, rows, strict=True):
+        means = np.ascontiguousarray(values.T)
+        length = np.diff(own.edges_s)
+        integral, slope = out[:, begin : begin + len(means) + 1]
+        begin += len(means) + 1
         integral[0] = 0.0
-        np.cumsum(rows, axis=0, out=integral[1:])
-        left, right = rows[:-1], rows[1:]
-        slope[0], slope[-1] = rows[0], rows[-1]
+        np.cumsum(means * length[:, None], axis=0, out=integral[1:])
+        left, right = means[:-1], means[1:]
+        slope[0], slope[-1] = means[0], means[-1]
         # in place: no arrays are larger than these
-        inner = np.add(left, right, out=slope[1:-1])
-        inner *= 0.5
-        size = np.abs(rows)
+        inner = np.subtract(right, left, out=slope[1:-1])
+        inner *= (length[:-1] / (length[:-1] + length[1:]))[:, None]
+        inner += left
+        size = np.abs(means)
         limit = np.minimum(size[:-1], size[1:])
         limit *= 3.0
         np.minimum(inner, limit, out=inner)
@@ -189,109 +188,111 @@ def integral_curves(columns: Sequence[Array]) -> Array:
     return out
 
 
-def _hermite(s: Array) -> tuple[Array, Array, Array, Array]:
+def _hermite(s: Array, length_s: Array) -> tuple[Array, ...]:
     """Weights of the integral at both edges of a row, and of its slope there, for the place s in the row (0 to 1)."""
     rise = s * s * (3.0 - 2.0 * s)
-    back = s * (1.0 - s)
+    back = s * (1.0 - s) * length_s
     return 1.0 - rise, rise, back * (1.0 - s), -back * s
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Analysis intervals of several runs on the even raw grid of each."""
+    """Analysis intervals of several runs among the rows of each; the times of a run begin where the last one ends."""
 
     edges_s: Array
     run: NDArray[np.intp]
     """Both: edges in the order of time, run by run, and the number of their run. Shape (edges,)."""
     low_at: NDArray[np.intp]
     """Edge at which each interval begins; it ends at the next. Shape (intervals,)."""
-    least: Array
-    """Least number of rows that a mean is divided by. Shape (intervals,)."""
-    start_s: Array
-    step_s: Array
-    """Both: of the raw grid of each edge's run. Shape (edges,)."""
-    count: NDArray[np.int32]
-    first: NDArray[np.int32]
-    """Both: rows of that grid, and its first edge when the edges of all runs' rows are stacked. Shape (edges,)."""
+    least_s: Array
+    """Least time that a mean is taken over. Shape (intervals,)."""
+    rows_s: Array
+    """Edges of all runs' rows, stacked."""
+    first: NDArray[np.intp]
+    last: NDArray[np.intp]
+    """Both: the first and the last of these edges in the run of each edge. Shape (edges,)."""
 
     @classmethod
     def of(cls, runs: Sequence[RunColumns]) -> Intervals:
         """Intervals of several runs, which never overlap, to be averaged over together."""
-        edges, low_at, least, total = [], [], [], 0
-        for low, high, step in ((r.bins.low_s, r.bins.high_s, r.grid.step_s) for r in runs):
+        edges, rows, low_at, least, total, end_s = [], [], [], [], 0, 0.0
+        for low, high, row_edges in ((r.bins.low_s, r.bins.high_s, r.rows.edges_s) for r in runs):
             # where intervals touch, one edge serves both
             apart = np.append(np.abs(high[:-1] - low[1:]) >= 1e-9, True)
             begin = np.arange(len(low)) + np.concatenate([[0], np.cumsum(apart[:-1])])
             own = np.empty(len(low) + int(apart.sum()))
             own[begin] = low
             own[begin[apart] + 1] = high[apart]
-            edges.append(own)
+            shift = end_s - row_edges[0]
+            edges.append(own + shift)
+            rows.append(row_edges + shift)
             low_at.append(begin + total)
-            least.append(0.1 * (high - low) / step)
+            least.append(0.1 * (high - low))
             total += len(own)
+            end_s = rows[-1][-1]
         run = np.repeat(np.arange(len(edges)), [len(e) for e in edges])
-        rows = np.array([r.values.shape[1] for r in runs], dtype=np.int32)
+        ends = np.cumsum([len(r) for r in rows])
         return cls(
             np.concatenate(edges),
             run,
             np.concatenate(low_at).astype(np.intp),
             np.concatenate(least),
-            start_s=np.array([r.grid.start_s for r in runs], dtype=float)[run],
-            step_s=np.array([r.grid.step_s for r in runs], dtype=float)[run],
-            count=rows[run],
-            first=np.concatenate([[0], np.cumsum(rows + 1)[:-1]]).astype(np.int32)[run],
+            rows_s=np.concatenate(rows),
+            first=np.append(0, ends[:-1])[run],
+            last=(ends - 1)[run],
         )
 
     def weights(self, delay_s: Array, lag_s: float) -> Weights:
         """Weights for the delay of each run, shape (runs,), and a common lag [s]."""
         from scipy.sparse import csr_array
 
-        left, s, weight = self._places(delay_s, lag_s)
-        rows = int(self.first[-1] + self.count[-1]) + 1
+        left, parts, at_s, weight = self._places(delay_s, lag_s)
+        rows = len(self.rows_s)
         # filled along the edges and turned once: a matrix has its numbers row by row
-        data = np.empty((len(weight), 4, s.shape[1]))
+        data = np.empty((len(weight), 4, left.shape[1]))
         at = np.empty(data.shape, dtype=np.int32)
-        for i, (part, edge) in enumerate(zip(_hermite(s), (0, 1, rows, rows + 1), strict=True)):
+        for i, (part, edge) in enumerate(zip(parts, (0, 1, rows, rows + 1), strict=True)):
             np.multiply(weight[:, None], part, out=data[:, i])
             np.add(left, edge, out=at[:, i])
-        by_row, places = (x.reshape(-1, s.shape[1]).T.ravel() for x in (data, at))
+        by_row, places = (x.reshape(-1, left.shape[1]).T.ravel() for x in (data, at))
         count = len(self.edges_s)
         ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
-        return csr_array((by_row, places, ends), shape=(count, 2 * rows)), weight @ (left + s)
+        return csr_array((by_row, places, ends), shape=(count, 2 * rows)), weight @ at_s
 
     def means(self, curves: Array, weights: Weights) -> Array:
         """Mean of columns over every interval, shape (intervals, k), from their `integral_curves`."""
-        at_edges, place = weights
-        whole = at_edges @ curves.reshape(-1, curves.shape[2])
-        difference = (whole[1:] - whole[:-1]).take(self.low_at, axis=0)
-        # at the ends of the log a delayed column is known for a part of the interval only; a constant stays one
-        difference /= np.maximum(np.diff(place).take(self.low_at), self.least)[:, None]
-        return np.asarray(difference)
+        at_edges, at_s = weights
+        return self._mean(at_edges @ curves.reshape(-1, curves.shape[2]), at_s)
 
     def means_of_one(self, curve: Array, delay_s: Array, lag_s: float) -> Array:
         """The same for a single column without a matrix, shape (intervals,), from its curve (2, edges, 1)."""
-        left, s, weight = self._places(delay_s, lag_s)
+        left, parts, at_s, weight = self._places(delay_s, lag_s)
         integral, slope = curve[:, :, 0]
-        parts = (integral.take(left), integral.take(left + 1), slope.take(left), slope.take(left + 1))
-        whole = weight @ sum(part * value for part, value in zip(_hermite(s), parts, strict=True))
-        difference = (whole[1:] - whole[:-1]).take(self.low_at)
-        return np.asarray(difference / np.maximum(np.diff(weight @ (left + s)).take(self.low_at), self.least))
+        values = (integral.take(left), integral.take(left + 1), slope.take(left), slope.take(left + 1))
+        whole = weight @ sum(part * value for part, value in zip(parts, values, strict=True))
+        return self._mean(whole[:, None], weight @ at_s)[:, 0]
 
-    def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
-        """Stacked edge at the start of a row, and place in the row, at every node of the lag and edge, shapes
-        (nodes, edges); weights (nodes,)."""
+    def _mean(self, whole: Array, at_s: Array) -> Array:
+        """Means over the intervals from integrals at their edges, shape (edges, k), and the times of these."""
+        difference = (whole[1:] - whole[:-1]).take(self.low_at, axis=0)
+        # at the ends of the log a delayed column is known for a part of the interval only; a constant stays one
+        difference /= np.maximum(np.diff(at_s).take(self.low_at), self.least_s)[:, None]
+        return np.asarray(difference)
+
+    def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.intp], tuple[Array, ...], Array, Array]:
+        """Edge at the start of a row, the weights of `_hermite` and the time at every node of the lag and edge, all of
+        shape (nodes, edges); weights (nodes,)."""
         if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers
             raise ValueError("the clock of the meter comes out as no number")
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
-        late = (self.edges_s - delay_s[self.run] - self.start_s) / self.step_s
-        position = late - nodes[:, :1] * (lag_s / self.step_s)
-        np.maximum(position, 0.0, out=position)
-        np.minimum(position, self.count, out=position)
-        left = position.astype(np.int32)
-        np.minimum(left, self.count - 1, out=left)
-        position -= left
-        left += self.first
-        return left, position, nodes[:, 1]
+        at_s = (self.edges_s - delay_s[self.run]) - nodes[:, :1] * lag_s
+        np.maximum(at_s, self.rows_s[self.first], out=at_s)
+        np.minimum(at_s, self.rows_s[self.last], out=at_s)
+        left = np.searchsorted(self.rows_s, at_s, side="right") - 1
+        np.maximum(left, self.first, out=left)
+        np.minimum(left, self.last - 1, out=left)
+        length = np.diff(self.rows_s).take(left)
+        return left, _hermite((at_s - self.rows_s.take(left)) / length, length), at_s, nodes[:, 1]
 
 
 @dataclass(frozen=True)
@@ -368,7 +369,7 @@ def find_clock(runs: Sequence[RunColumns], step_s: float) -> Place:
 def alignment(runs: Sequence[RunColumns], step_s: float) -> Callable[[float, float], float]:
     """Log-likelihood of differenced rows, every column in, for a delay and a lag."""
     intervals = Intervals.of(runs)
-    curves = integral_curves([run.values for run in runs])
+    curves = integral_curves([run.values for run in runs], [run.rows for run in runs])
     measured_w = np.concatenate([run.bins.measured_w for run in runs])
     # first bin of each run, and 1 where a bin has one before it in the same stretch, but for the first bin of all
     firsts = np.cumsum([0, *(len(run.bins.measured_w) for run in runs[:-1])])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from missionsim.identify.align import (
     Clock,
     Intervals,
+    Rows,
     RunColumns,
     Weights,
     find_clock,
@@ -114,7 +115,7 @@ class Source:
         """The same runs with one column, an array (rows,) for each run, evaluated anew; the rest is shared."""
         root = self.root or self
         raw = [np.asarray(values, dtype=float)[None, :] for values in rows]
-        curve = integral_curves([run.grid.on(values) for run, values in zip(self.columns, raw, strict=True)])
+        curve = self._curves(raw)
         return replace(self, layout=layout, root=root, varied={**self.varied, column: curve})
 
     def of_runs(self, numbers: Sequence[int]) -> Source:
@@ -140,8 +141,17 @@ class Source:
         """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
         root = self.root or self
         finite = [np.nan_to_num(np.asarray(rows, dtype=float)) for rows in raw]
-        curves = integral_curves([run.grid.on(rows) for run, rows in zip(self.columns, finite, strict=True)])
+        curves = self._curves(finite)
         return np.ascontiguousarray(root.intervals.means(curves, root._weights(clock)).T)
+
+    def _curves(self, raw: Sequence[Array]) -> Array:
+        """Integral curves of columns at the rows as they were logged."""
+        return integral_curves([own.on(values) for own, values in zip(self._rows, raw, strict=True)], self._rows)
+
+    @property
+    def _rows(self) -> list[Rows]:
+        """When the rows of each run are."""
+        return [run.rows for run in self.columns]
 
     @cached_property
     def intervals(self) -> Intervals:
@@ -151,7 +161,7 @@ class Source:
     @cached_property
     def _base_curve(self) -> Array:
         """Integral curve of the base model, shape (2, edges, 1)."""
-        return integral_curves([run.values[:1] for run in self.columns])
+        return integral_curves([run.values[:1] for run in self.columns], self._rows)
 
     def _weights(self, clock: Clock) -> Weights:
         """Weights of a clock; those of the last one are kept."""
@@ -180,7 +190,7 @@ class Source:
         used = (*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen))
         curves = self._kept_curves.pop(used, None)
         if curves is None:
-            curves = integral_curves([run.values[list(used)] for run in self.columns])
+            curves = integral_curves([run.values[list(used)] for run in self.columns], self._rows)
         self._kept_curves[used] = curves
         if len(self._kept_curves) > KEPT_CURVES:  # those that were used last are kept
             del self._kept_curves[next(iter(self._kept_curves))]

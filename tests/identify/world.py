@@ -174,4 +174,4 @@ def with_gap(run: RunData, first: int, last: int) -> RunData:
 def averaged(run: RunColumns, delay_s: float, lag_s: float) -> Array:
     """Mean of columns over every bin of one run, shape (columns, bins), as a late and sluggish meter would see it."""
     intervals = Intervals.of([run])
-    return intervals.means(integral_curves([run.values]), intervals.weights(np.array([delay_s]), lag_s)).T
+    return intervals.means(integral_curves([run.values], [run.rows]), intervals.weights(np.array([delay_s]), lag_s)).T
