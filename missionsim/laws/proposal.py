@@ -78,7 +78,10 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
     grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
     plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
     if late is None or plain is None:
-        return late if late is not None and late.proposal.far_better else plain
+        # the wider search may end with a form that remembers nothing, where what leads the narrower one fails
+        first = None if late is None else late.proposal.first
+        at_once = first is not None and "lag(" not in first.formula and not CLOCKS & {*first.variables}
+        return late if late is not None and (at_once or late.proposal.far_better) else plain
     # whatever is slow looks like a lag, so that it must be far better; how left-out runs are predicted rests on the
     # noise that a fit ends with, so that both are compared at the same
     error, other = (
