@@ -106,9 +106,8 @@ class Rows:
 
     edges_s: Array
     """Shape (rows + 1,)."""
-    starts: NDArray[np.intp] | None = None
-    logged_s: Array | None = None
-    """Both only where rows were put together: the first logged row of each, and the length of every logged one."""
+    together: tuple[NDArray[np.intp], Array] | None = None
+    """Of rows that were put together: the first logged row of each, and the length of every logged one [s]."""
 
     @classmethod
     def of(cls, run: RunData) -> Rows:
@@ -120,14 +119,14 @@ class Rows:
         cell = np.floor((edges[:-1] - edges[0]) / FINEST_STEP_S + 1e-6)
         apart = logged > GAP_ROWS * step
         starts = np.flatnonzero(np.append(True, (np.diff(cell) > 0.0) | apart[1:] | apart[:-1]))
-        return cls(np.append(edges[starts], edges[-1]), starts, logged)
+        return cls(np.append(edges[starts], edges[-1]), (starts, logged))
 
     def on(self, values: Array) -> Array:
         """Columns (k, logged rows) as means over these rows, which keep their integral."""
-        if self.starts is None or self.logged_s is None:
+        if self.together is None:
             return values
-        whole = np.add.reduceat(values * self.logged_s, self.starts, axis=1)
-        return np.asarray(whole / np.diff(self.edges_s))
+        starts, logged_s = self.together
+        return np.asarray(np.add.reduceat(values * logged_s, starts, axis=1) / np.diff(self.edges_s))
 
 
 @dataclass
