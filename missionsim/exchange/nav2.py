@@ -63,8 +63,9 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[st
     for (properties, _), position in zip(nodes, positions, strict=True):
         number = _id(properties, "id")
         if number is None or position is None:
+            names.setdefault(str(properties.fields.get("id")), "")
             continue
-        if number in names:
+        if names.get(number):
             properties.fault(f"node {number} stands twice", "an id of its own")
             continue
         metadata = properties.get("metadata")
@@ -101,7 +102,7 @@ def _id(properties: Value, key: str) -> str | None:
 def _edge(edge: Value, site: Site, names: dict[str, str]) -> None:
     number = _id(edge, "id")
     start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startid", "endid"))
-    if number is None or start is None or end is None:
+    if number is None or not start or not end:
         return
     _left(edge, site, "an edge", _SPEEDS)
     if edge.has("cost"):

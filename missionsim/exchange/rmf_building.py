@@ -10,7 +10,6 @@ import cmath
 import math
 from collections import Counter
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any
 
 from missionsim.exchange.site import EARTH_M, Site, clean
 from missionsim.exchange.source import Value
@@ -31,7 +30,8 @@ class _Vertex:
     point: complex | None
     word: str
     """Its name; empty where it has none."""
-    parameters: dict[str, Any]
+    parameters: dict[str, Value]
+    charger: bool = False
     used: bool = False
     """Whether a lane ends at it."""
     cabin: str = ""
@@ -41,16 +41,28 @@ class _Vertex:
 
 
 @dataclass
+class _Lane:
+    value: Value
+    start: _Vertex
+    end: _Vertex
+    parameters: dict[str, Value]
+    graph: int
+    both_ways: bool
+    max_speed: float | None
+
+
+@dataclass
 class _Level:
     name: str
     value: Value
     vertices: list[_Vertex] = field(default_factory=list)
-    lanes: list[tuple[_Vertex, _Vertex, dict[str, Any], Value]] = field(default_factory=list)
+    lanes: list[_Lane] = field(default_factory=list)
+    pixels: list[float] = field(default_factory=list)
     scale: float = 1.0
     turn: complex = 1.0
     shift: complex = 0.0
     _: KW_ONLY
-    graphs: set[str] = field(default_factory=set)
+    graphs: set[int] = field(default_factory=set)
 
     def at(self, point: complex) -> complex:
         """Metres of a point of the file."""
@@ -71,10 +83,13 @@ def read(root: Value, site: Site) -> None:
     for level in levels.values():
         _read_level(level, site, flip)
     graphs = {graph for level in levels.values() for graph in level.graphs}
-    if (wanted := site.options.graph) is not None and str(wanted) not in graphs:
-        root.fault(f"no lane is of graph {wanted}", ", ".join(sorted(graphs)) or "a map with lanes")
+    if (wanted := site.options.graph) is not None and wanted not in graphs:
+        root.fault(f"no lane is of graph {wanted}", ", ".join(map(str, sorted(graphs))) or "a map with lanes")
     if not levels:
         root.fault("a building without levels", "levels: {L1: …}")
+    if system == "reference_image":
+        for level in levels.values():
+            level.pixels = _pixels(level)
     if not levels or root.faults.found:
         return
     reference = levels.get(root.word("reference_level_name"), next(iter(levels.values())))
@@ -99,18 +114,24 @@ def _read_level(level: _Level, site: Site, flip: float) -> None:
         x, y = [*numbers, None, None][:2]
         point = None if x is None or y is None else complex(x, flip * y)
         parameters = _parameters(parts[-1]) if len(parts) > 4 or _is_generated(value) else {}
-        word = parts[3].data if len(parts) > 3 else parameters.get("name")
-        level.vertices.append(_Vertex(value, point, str(word or "").strip(), parameters))
+        word = parts[3].data if len(parts) > 3 else "name" in parameters and parameters["name"].data
+        charger = _said(parameters, "is_charger")
+        level.vertices.append(_Vertex(value, point, str(word or "").strip(), parameters, charger))
     for lane in level.value.entries("lanes"):
         ends, parameters = _ends(lane, level)
         if len(ends) < 2:
             lane.fault("a lane is [from, to]", "[from, to, {…}]")
         if len(ends) < 2 or ends[0] is None or ends[1] is None:
             continue
-        graph = str(parameters.get("graph_idx", 0))
+        graph = parameters["graph_idx"].whole() if "graph_idx" in parameters else 0
+        both_ways = _said(parameters, "bidirectional", "is_bidirectional")
+        limit = parameters["speed_limit"].number(0.0, 60.0) if "speed_limit" in parameters else None
+        if graph is None:
+            continue
         level.graphs.add(graph)
-        if str(site.options.graph) in ("None", graph):
-            level.lanes.append((ends[0], ends[1], parameters, lane))
+        if site.options.graph in (None, graph):
+            # 0 is no limit
+            level.lanes.append(_Lane(lane, ends[0], ends[1], parameters, graph, both_ways, limit or None))
             ends[0].used = ends[1].used = True
     _left(level.value, _LEVEL_USED, site)
     if (height := level.value.get("elevation")) and height.data:
@@ -123,7 +144,7 @@ def _left(value: Value, used: set[str], site: Site) -> None:
             site.tell(f"left out: {clean(key)[:40]}", part.line)
 
 
-def _ends(value: Value, level: _Level) -> tuple[list[_Vertex | None], dict[str, Any]]:
+def _ends(value: Value, level: _Level) -> tuple[list[_Vertex | None], dict[str, Value]]:
     """Vertices that a lane or a measurement joins, None for one that is not there, and its parameters."""
     parts = value.entries()
     ends: list[_Vertex | None] = []
@@ -141,13 +162,18 @@ def _is_generated(vertex: Value) -> bool:
     return len(parts) == 3 and isinstance(parts[2].data, dict)
 
 
-def _parameters(value: Value) -> dict[str, Any]:
+def _parameters(value: Value) -> dict[str, Value]:
     """Parameters stand as ``name: [type, value]``."""
     result = {}
     for key, entry in value.items():
-        pair = entry.data
-        result[key] = pair[1] if isinstance(pair, list) and len(pair) == 2 else pair
+        pair = entry.entries() if isinstance(entry.data, list) else []
+        result[key] = pair[1] if len(pair) == 2 else entry
     return result
+
+
+def _said(parameters: dict[str, Value], *keys: str) -> bool:
+    """Whether the first of the parameters that is there is true; a fault where it is neither true nor false."""
+    return next((parameters[key].truth() for key in keys if key in parameters), False)
 
 
 def _scales(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
@@ -174,18 +200,28 @@ def _scales(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
         level.shift = -sum(level.at(b) - reference.scale * a for a, b in pairs) / len(pairs)
 
 
-def _measured(level: _Level, site: Site) -> float | None:
-    """m per pixel: the mean of distance over drawn length."""
+def _pixels(level: _Level) -> list[float]:
+    """m per pixel of each measurement: distance over drawn length."""
     found = []
     for measurement in level.value.entries("measurements"):
         ends, parameters = _ends(measurement, level)
-        distance = parameters.get("distance")
-        if len(ends) < 2 or ends[0] is None or ends[1] is None or not isinstance(distance, (int, float)):
+        if len(ends) < 2 or "distance" not in parameters:
             measurement.fault("a measurement is two vertices and their distance", "[0, 1, {distance: [3, 12.5]}]")
             continue
-        a, b = ends[0].point, ends[1].point
-        if a is not None and b is not None and a != b and 0 < distance < 1e6:
-            found.append(distance / abs(b - a))
+        distance = parameters["distance"].number(1e-3, 1e6)
+        a, b = (None if end is None else end.point for end in ends)
+        if distance is None or a is None or b is None:
+            continue
+        if a == b:
+            measurement.fault("a measurement between two vertices at one place", "vertices that lie apart")
+            continue
+        found.append(distance / abs(b - a))
+    return found
+
+
+def _measured(level: _Level, site: Site) -> float | None:
+    """m per pixel, the mean of the measurements."""
+    found = level.pixels
     if found:
         if max(found) > 1.05 * min(found):
             site.tell(
@@ -249,7 +285,8 @@ def _enter_cabins(root: Value, levels: dict[str, _Level], reference: _Level, fli
         rectangles.append((name, home.at(complex(x, flip * y)), cmath.rect(1.0, -yaw), *half, served))
     for level in levels.values():
         for vertex in level.vertices:
-            vertex.cabin = str(vertex.parameters.get("lift_cabin") or vertex.parameters.get("lift") or "")
+            named = (vertex.parameters[key].data for key in ("lift_cabin", "lift") if key in vertex.parameters)
+            vertex.cabin = next((str(name) for name in named if name), "")
             if vertex.cabin or not vertex.used or vertex.point is None:
                 continue
             for name, centre, back, width, depth, served in rectangles:
@@ -283,7 +320,7 @@ def _build(levels: dict[str, _Level], site: Site) -> None:
         for index, vertex in enumerate(level.vertices):
             if vertex.point is None or not (vertex.used or vertex.word or vertex.cabin):
                 continue
-            given = ((name, vertex.value) for name, value in vertex.parameters.items() if value)
+            given = ((name, vertex.value) for name, value in vertex.parameters.items() if value.data)
             site.left_out("a vertex", given, _VERTEX_USED)
             if vertex.cabin in lifts:
                 vertex.place = lifts[vertex.cabin]
@@ -292,21 +329,19 @@ def _build(levels: dict[str, _Level], site: Site) -> None:
             if several and not vertex.cabin and (not vertex.word or words[word] > 1):
                 word = f"{level.name}_{word}"
             metres = level.at(vertex.point)
-            charger = vertex.parameters.get("is_charger") is True
-            vertex.place = site.place(word, (metres.real, metres.imag), charger=charger)
+            vertex.place = site.place(word, (metres.real, metres.imag), charger=vertex.charger)
             if vertex.cabin:
                 lifts[vertex.cabin] = vertex.place
                 site.places[vertex.place]["title"] = f"lift {vertex.cabin}"
     if any(cabins[name] > 1 for name in lifts):
         site.tell("a lift is one place on all its levels: what it draws and how long it takes is not in the map")
     for level in levels.values():
-        for start, end, parameters, lane in level.lanes:
-            if not (start.place and end.place):
+        for lane in level.lanes:
+            line, ends = lane.value.line, (lane.start.place, lane.end.place)
+            if not all(ends):
                 continue
-            site.left_out("a lane", ((key, lane) for key, value in parameters.items() if value), _LANE_USED)
-            if graph := parameters.get("graph_idx", 0):
-                site.tell(f"lane of graph {graph} (--graph takes one graph alone)", lane.line)
-            both = parameters.get("bidirectional", parameters.get("is_bidirectional", False)) is True
-            limit = parameters.get("speed_limit")
-            speed = float(limit) if isinstance(limit, (int, float)) and 0.0 < limit <= 60.0 else None
-            site.edge(start.place, end.place, lane.line, both_ways=both, max_speed=speed)
+            given = ((key, lane.value) for key, value in lane.parameters.items() if value.data)
+            site.left_out("a lane", given, _LANE_USED)
+            if lane.graph:
+                site.tell(f"lane of graph {lane.graph} (--graph takes one graph alone)", line)
+            site.edge(*ends, line, both_ways=lane.both_ways, max_speed=lane.max_speed)

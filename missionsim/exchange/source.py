@@ -272,7 +272,8 @@ class Value:
         return [(key, Value(self.document, self.faults, child, (*found.path, key))) for key, child in pairs]
 
     def named(self, names: Mapping[str, str]) -> str | None:
-        """What `names` holds for the id that stands here; None and a fault where it knows none."""
+        """What `names` holds for the id that stands here (nothing for a node that is at fault itself); None and a fault
+        where it knows none."""
         if (found := names.get(str(self.data))) is None:
             self.fault("no node has this id", "the id of a node")
         return found
@@ -287,6 +288,19 @@ class Value:
         else:
             return float(raw)
         return None
+
+    def whole(self) -> int | None:
+        """A whole number from 0; None and a fault where it is none."""
+        if type(self.data) is int and self.data >= 0:
+            return self.data
+        self.fault("must be a whole number", "0, 1, 2 …")
+        return None
+
+    def truth(self) -> bool:
+        """True or false; false and a fault where it is neither."""
+        if not isinstance(self.data, bool):
+            self.fault("must be true or false", "true, false")
+        return self.data is True
 
     def optional(self, key: str, low: float = -1e12, high: float = 1e12) -> float | None:
         """Number at a key; None where it is not there."""

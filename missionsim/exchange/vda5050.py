@@ -58,8 +58,9 @@ def read_layout(root: Value, site: Site) -> None:
         x, y = (position.need(key) for key in ("x", "y")) if position else (None, None)
         numbers = [value.number() if value else None for value in (x, y)]
         if not identity or numbers[0] is None or numbers[1] is None:
+            names.setdefault(str(node.fields.get("nodeId")), "")
             continue
-        if identity in names:
+        if names.get(identity):
             node.fault("a node's id stands twice", "nodeId of its own")
             continue
         properties = properties_of(node, _NODE_KEYS)
@@ -80,7 +81,7 @@ def read_layout(root: Value, site: Site) -> None:
             keys = ("stationId", "stationName", "stationDescription", "stationDescriptor")
             words = [station.word(key) for key in keys]
             for node in station.entries("interactionNodeIds"):
-                if (name := node.named(names)) is None:
+                if not (name := node.named(names)):
                     continue
                 place = site.places[name]
                 place["title"] = "; ".join(filter(None, [place.get("title", ""), words[1] or words[0]]))
@@ -94,7 +95,7 @@ def read_layout(root: Value, site: Site) -> None:
             properties = properties_of(edge, _EDGE_KEYS)
             if wanted and not properties:
                 site.tell(f"left out: edge that {wanted} may not use", edge.line)
-            elif start is not None and end is not None:
+            elif start and end:
                 limits = [limit for one in properties if (limit := one.get("maxSpeed", "maximumSpeed"))]
                 speeds = [speed for limit in limits if (speed := limit.number(0.0, 60.0))]
                 drawn = [trajectory for one in properties if (trajectory := one.get("trajectory")) is not None]

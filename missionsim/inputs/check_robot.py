@@ -18,7 +18,6 @@ from missionsim.inputs.values import Parameter
 def check_robot(robot: RobotSpec) -> list[Fault]:
     """Batteries, links, relays, requirements, sensors of schemes, formulas, motion model and effects."""
     check = Checker(robot.document)
-    batteries = robot.document.names("batteries") or list(robot.batteries)
     boards, processor = robot.switchboards, robot.processor
     fed: list[tuple[Where, str]] = [(("links", name), link.battery) for name, link in robot.links.items()]
     fed += [(("switchboards", name), board.battery) for name, board in boards.items()]
@@ -26,13 +25,13 @@ def check_robot(robot: RobotSpec) -> list[Fault]:
     fed += [(("motion",), robot.motion.battery)] if robot.motion is not None else []
     fed += [(("effects", index), effect.battery) for index, effect in enumerate(robot.effects)]
     for where, battery in fed:
-        check.known((*where, "battery"), battery, batteries, "battery")
+        check.named((*where, "battery"), battery, "batteries", "battery")
     for name, spec in robot.batteries.items():
         if spec.initial_charge.value <= spec.reserve.value and spec.reserve.value > 0:
             got, allowed = f"{spec.initial_charge.value:g}", f"more than {spec.reserve.value:g}"
             message = "starts at or below its reserve"
             check.add(("batteries", name, "initial_charge"), message, got, allowed, warning=True)
-    _components(check, robot, batteries)
+    _components(check, robot)
     for name, board in boards.items():
         hung = [key for key, component in robot.components.items() if component.relay == name]
         count = sum(robot.components[key].units for key in hung)
@@ -43,22 +42,21 @@ def check_robot(robot: RobotSpec) -> list[Fault]:
     for name, scheme in robot.schemes.items():
         _scheme(check, robot, ("schemes", name), scheme)
     if robot.idle_scheme is not None:
-        check.known(("idle_scheme",), robot.idle_scheme, robot.document.names("schemes"), "control scheme")
+        check.named(("idle_scheme",), robot.idle_scheme, "schemes", "control scheme")
     _motion(check, robot)
     _effects(check, robot)
     return check.faults
 
 
-def _components(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
-    components, links = robot.document.names("components"), robot.document.names("links")
+def _components(check: Checker, robot: RobotSpec) -> None:
     for name, component in robot.components.items():
         where: Where = ("components", name)
         for index, load in enumerate(component.loads):
             at, law = (*where, "loads", index), load.law
-            check.known((*at, "battery"), load.battery, batteries, "battery")
-            if load.through is not None and check.known((*at, "through"), load.through, links, "link"):
+            fed = check.named((*at, "battery"), load.battery, "batteries", "battery")
+            if load.through is not None and check.named((*at, "through"), load.through, "links", "link"):
                 link = robot.links.get(load.through)
-                if link is not None and link.battery != load.battery and link.battery in batteries:
+                if link is not None and link.battery != load.battery and fed:
                     message = f"link '{load.through}' is fed by another battery"
                     check.add((*at, "battery"), message, load.battery, link.battery)
             if law is not None and law.power is not None:
@@ -72,16 +70,16 @@ def _components(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
                     specs = laws[law.model].parameters
                     _parameters(check, (*at, "law"), law.parameters, specs, f"law '{law.model}'")
         if component.relay is not None:
-            boards = robot.document.names("switchboards")
-            check.known((*where, "relay"), component.relay, boards, "switchboard")
+            check.named((*where, "relay"), component.relay, "switchboards", "switchboard")
         for index, other in enumerate(component.requires):
-            check.known((*where, "requires", index), other, components, "component")
+            check.named((*where, "requires", index), other, "components", "component")
     needs = {name: list(component.requires) for name, component in robot.components.items()}
     while circle := _circle(needs):
         at = ("components", circle[-2], "requires", robot.components[circle[-2]].requires.index(circle[-1]))
         message = "components require each other in a circle"
         check.add(at, message, " → ".join(circle), "requirements without a circle")
-        needs[circle[-2]].remove(circle[-1])
+        for name in (knot := circle[1:]):  # with all that they lead to, where each further circle is the same mistake
+            knot += needs.pop(name, ())
 
 
 def _circle(needs: Mapping[str, list[str]]) -> list[str]:

@@ -52,6 +52,12 @@ class Checker:
         self.add(where, message or f"no {what} '{name}'", as_written(name), allowed, hint, key=key)
         return False
 
+    def named(self, where: Where, name: str, block: str, what: str) -> bool:
+        """The same with the names of a block of the file; nothing is told where the block is at fault itself."""
+        if self.document.is_faulty((block,)):
+            return False
+        return self.known(where, name, self.document.names(block), what)
+
     def keys(self, where: Where, given: object, names: Iterable[str], what: str) -> None:
         """Faults for the keys of a mapping that are none of `names`."""
         for name in given if isinstance(given, Mapping) else ():

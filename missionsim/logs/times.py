@@ -121,6 +121,8 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
     return whole
 
 
+_ABSURD_S = 1e11
+"""A time beyond three thousand years, and a thousand times the usual one, is a mistake in its row."""
 _JUMP_S = 3600.0
 """A step that is longer, and a thousand usual ones, is no gap of a mission: the clock was set, or the robot was off."""
 
@@ -167,6 +169,7 @@ class TimeAxis:
         except TimeError as error:
             raise InputError(Fault(raw.file, raw.line(0), 0, str(error), "time_s")) from None
         known = found.seconds[np.isfinite(found.seconds)]
+        self._refuse_absurd(raw, found.seconds, known)
         if found.kind != "own" and len(known):
             if found.kind == "day" and known[0] + self.days < self.last - 0.5 * _DAY_S:
                 self.days += _DAY_S
@@ -188,6 +191,22 @@ class TimeAxis:
             self.end = float(closed[-1])
             seconds[finite] = closed
         raw.columns["time_s"] = seconds
+
+    @staticmethod
+    def _refuse_absurd(raw: RawTable, seconds: Array, known: Array) -> None:
+        """Refuse single times that no clock shows, before a jump or a restart is told between them and the others."""
+        most = max(_ABSURD_S, 1000.0 * float(np.median(np.abs(known)))) if len(known) else 0.0
+        absurd = np.flatnonzero(np.isfinite(seconds) & (np.abs(seconds) > most))
+        if len(absurd):
+            usual = known[np.abs(known) <= most]
+            allowed = f"as in the other rows, {usual.min():.6g} to {usual.max():.6g} s"
+            told = "a time that no clock shows"
+            raise InputError(
+                [
+                    Fault(raw.file, raw.line(int(i)), 0, told, "time_s", f"{seconds[i]:g} s", allowed)
+                    for i in absurd[:20]
+                ]
+            )
 
 
 def epoch_of(values: Array) -> tuple[float, str] | None:

@@ -195,6 +195,13 @@ def test_shared_campus_is_as_long_as_on_the_ellipsoid(shared: Path) -> None:
         ("yard.geojson", '"id": 1,', '"id": 0,', "stands twice"),
         ("yard.geojson", "} } },", "} }", "not JSON"),
         ("two_floors.building.yaml", "- [3, 4,", "- [3, 40,", "no vertex has this number"),
+        ("two_floors.building.yaml", "distance: [3, 10]", "distance: [3, -10]", "impossible value"),
+        ("two_floors.building.yaml", "- [0, 1, {distance", "- [1, 1, {distance", "at one place"),
+        ("two_floors.building.yaml", "[3, 0.6]", "[3, -1]", "impossible value"),
+        ("two_floors.building.yaml", "[3, 0.6]", "[3, .nan]", "impossible value"),
+        ("two_floors.building.yaml", "graph_idx: [2, 1]", "graph_idx: [2, x]", "must be a whole number"),
+        ("two_floors.building.yaml", "is_charger: [4, true]", "is_charger: [4, maybe]", "must be true or false"),
+        ("two_floors.building.yaml", "bidirectional: [4, false]", "bidirectional: 1", "must be true or false"),
         ("hall.lif.json", '"endNodeId": "out"', '"endNodeId": "exit"', "no node has this id"),
         ("hall.lif.json", '"x": 10.0, "y": 0.0}, "veh', '"x": 1e400, "y": 0.0}, "veh', "impossible value"),
         ("rover.plan", "47.0, 8.001, 0", "147.0, 8.001, 0", "no latitude and longitude"),
@@ -214,6 +221,7 @@ def test_faults_tell_their_line(name: str, old: str, new: str, says: str, tmp_pa
         import_site(tmp_path / name)
     line = text.count("\n", 0, text.index(old)) + 1
     assert any(fault.line in (line, line + 1) and says in fault.message for fault in caught.value.faults), caught.value
+    assert len(caught.value.faults) == 1 or says in ("stands twice", "an edge that leads to no node")
 
 
 def test_command_writes_both_files_or_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -199,6 +199,24 @@ def test_components_that_require_each_other(folder: Path) -> None:
     assert heads("robot.yaml") == ["robot.yaml:8:22: error: components require each other in a circle"]
 
 
+def test_a_knot_of_components_that_require_each_other_is_one_fault(folder: Path) -> None:
+    others = "abcde"
+    knot = "".join(
+        f"  {name}: {{requires: [{', '.join(others.replace(name, ''))}], loads: [{{battery: main, power: 1 W}}]}}\n"
+        for name in others
+    )
+    pair = "".join(f"  {a}: {{requires: [{b}], loads: [{{battery: main, power: 1 W}}]}}\n" for a, b in ("yz", "zy"))
+    change("robot", "  lidar: {", f"{knot}{pair}  lidar: {{")
+    assert [head.split("error: ")[1] for head in heads("robot.yaml")] == 2 * [
+        "components require each other in a circle"
+    ]
+
+
+def test_what_hangs_on_a_faulty_block_is_no_fault_of_its_own(folder: Path) -> None:
+    change("robot", "batteries: {main: {capacity: 10 Wh}}", "batteries: null")
+    assert heads("robot.yaml") == ["robot.yaml:4:12: error: must be a mapping"]
+
+
 def test_one_way_streets_and_along(folder: Path) -> None:
     change("environment", "{from: A, to: B}", "{from: A, to: B, both_ways: false}, {from: B, to: C}")
     change("mission", "- drive: {to: B}", "- drive: {along: [B, C]}\n  - drive: {to: A}")

@@ -81,6 +81,20 @@ def test_two_runs_in_one_file_are_refused(tmp_path: Path, faults_of) -> None:
     assert fault.line == 402
 
 
+@pytest.mark.parametrize("absurd", [1e18, -1e18, 1e300])
+@pytest.mark.parametrize("since", [0.0, 1.7e9])
+def test_times_that_no_clock_shows_are_told_where_they_stand(
+    tmp_path: Path, faults_of, absurd: float, since: float
+) -> None:
+    columns = motion()
+    columns["time_s"] = columns["time_s"] + since
+    columns["time_s"][[100, 200]] = absurd
+    faults = faults_of(read, tmp_path, columns).faults
+    assert [fault.line for fault in faults] == [102, 202]
+    assert {fault.message for fault in faults} == {"a time that no clock shows"}
+    assert {fault.got for fault in faults} == {f"{absurd:g} s"}
+
+
 def test_duplicates(tmp_path: Path) -> None:
     columns = motion()
     again = {name: np.insert(data, 50, data[49]) for name, data in columns.items()}
