@@ -69,7 +69,7 @@ class Improved:
         for one in self.written:
             before, now = self.asked.get(one.effect, one.net), one.net
             changed = abs(now - before) > MOVED * max(abs(now), abs(before))
-            more = f", {100 * before:.1f} % before the others came in" if changed else ""
+            more = f", {100 * before:.1f} % when it was found" if changed else ""
             parts.append(f"{one.effect} ({100 * now:.1f} % of the energy{more})".replace("-", "−"))
         return ", ".join(parts or self.added) or "nothing"
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, rises, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import Proposal, plain, state
+from missionsim.identify.settings import ODDS_NATS
 from missionsim.numerals import rounded, watts
 
 _SUBJECT = {
@@ -161,7 +162,8 @@ def sure(battery: BatteryDiagnosis) -> str:
     if first is not None and first.indistinguishable_from:
         return "Not sure which: these data cannot tell these effects apart."
     if first is not None:
-        p = first.p_value
+        least = max(battery.effects, key=lambda effect: effect.p_value)
+        p = least.p_value
         odds = _one_in(1.0 / p) if p >= 1e-6 else "less than one case in a million"
         odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
         held = battery.heldout
@@ -169,7 +171,8 @@ def sure(battery: BatteryDiagnosis) -> str:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
         repeated = "repeated" in first.level
         runs = "with whole runs as the sample it is there too" if repeated else "runs alone are too few to show it"
-        return f"Sure: {odds}; {runs}."
+        of = f" ({least.effect}, the least sure)" if len(battery.effects) > 1 else ""
+        return f"Sure: {odds}{of}; {runs}."
     if not battery.proposed_laws:
         return ""
     one = battery.proposed_laws[0]
@@ -178,7 +181,9 @@ def sure(battery: BatteryDiagnosis) -> str:
     told += f", perhaps on {possible}" if possible else ""
     form = "its form is an approximation within the band"
     if len(one.laws) > 1:
-        form = f"{len(one.laws)} forms fit alike, so trust the curve and its band, not one formula"
+        behind = max(law.behind_nats for law in one.laws)
+        alike = "fit alike" if behind < ODDS_NATS else f"come near, the last {behind:.0f} nats behind"
+        form = f"{len(one.laws)} forms {alike}, so trust the curve and its band, not one formula"
     return (
         f"{told}; {form}. {one.better} of {one.runs} left-out {battery.parts} in which it acts are predicted better; "
         f"{one.tried:,} forms were tried, and chance is charged for all."

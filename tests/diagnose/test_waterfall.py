@@ -46,9 +46,7 @@ def improved(after_pct: float, runs: int = 1) -> Improved:
 def test_what_was_added_is_told_with_the_size_that_the_file_has() -> None:
     """And with the one that it was found with, where what came in later changed it."""
     done = replace(improved(0.1), written=(replace(GRADE, energy_share=0.045),))
-    assert replace(done, asked={"grade": 0.199}).told == (
-        "grade (4.5 % of the energy, 19.9 % before the others came in)"
-    )
+    assert replace(done, asked={"grade": 0.199}).told == ("grade (4.5 % of the energy, 19.9 % when it was found)")
     done = replace(done, asked={"grade": 0.047})
     assert done.told == "grade (4.5 % of the energy)"
     assert "Added: grade (4.5 % of the energy). The power error" in improve_page("r", [done])

@@ -303,7 +303,10 @@ def test_limits_above_half_of_the_energy_say_nothing_and_eight_are_shown() -> No
     [(0.00027, "one case in 3,700"), (0.04, "one case in 25"), (1e-6, "one case in 1,000,000"), (1e-9, "a million")],
 )
 def test_nothing_is_called_surer_than_it_is(p_value: float, told: str) -> None:
-    assert told in sentences.sure(replace(BATTERY, effects=(replace(GRADE, p_value=p_value),)))
+    sure = replace(GRADE, p_value=p_value)
+    assert told in sentences.sure(replace(BATTERY, effects=(sure,)))
+    surer = replace(GRADE, effect="payload", p_value=1e-12)
+    assert f"{told} (grade, the least sure);" in sentences.sure(replace(BATTERY, effects=(surer, sure)))
 
 
 @pytest.mark.parametrize(

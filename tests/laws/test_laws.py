@@ -220,6 +220,14 @@ def law(**changes: Any) -> Proposal:
     return Proposal(**(plain | changes))
 
 
+@pytest.mark.parametrize(("nats", "told"), [(2.0, "2 forms fit alike"), (40.0, "come near, the last 40 nats behind")])
+def test_forms_far_behind_do_not_fit_alike(nats: float, told: str) -> None:
+    first, other = law().laws
+    seen = law(laws=(first, replace(other, behind_nats=nats)))
+    battery = SimpleNamespace(effects=(), proposed_laws=(seen,), parts="runs")
+    assert told in sentences.sure(battery)
+
+
 def test_a_law_in_plain_words() -> None:
     assert sentences.law(law()) == (
         "Turning with payload costs about 6.00 W (turn rate 0.50 rad/s, payload 4.0 kg) that the model does not know: "
