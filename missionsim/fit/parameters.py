@@ -223,10 +223,10 @@ def fit_parameters(
     for name, own in known.items():
         new = fitted.values.get(name, Value(own.value, abs(own.value) * prior_sd[name]))
         seen = name in fitted.values and name in told
-        reach = Z95 * new.sd
-        parameters[name] = FittedParameter(
-            name, own.unit, new.value, new.sd, new.value - reach, new.value + reach, own.value, seen
-        )
+        low, high = new.value - Z95 * new.sd, new.value + Z95 * new.sd
+        if name.rpartition(".")[2] == "regeneration":  # a part is no less than none and no more than all
+            low, high = max(low, 0.0), min(high, 1.0)
+        parameters[name] = FittedParameter(name, own.unit, new.value, new.sd, low, high, own.value, seen)
     remarks = [
         f"{name} and {twin} act on the power in the same way: {twin} is fitted, {name} stays as it is"
         for name, twin in fitted.alike.items()

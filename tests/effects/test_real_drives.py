@@ -173,6 +173,9 @@ def test_regeneration_is_a_parameter_that_logs_fit() -> None:
     assert found.value == pytest.approx(0.65, abs=0.03)
     assert fit.model.constants["regeneration"] == found.value
     assert "robot/regeneration" not in model(effects).parameters
+    # a part is no more than all
+    every = fit_parameters(start, [stop_and_go(seed, 1.0) for seed in (1, 2)], "robot").parameters["regeneration"]
+    assert every.value + 1.96 * every.sd > 1.0 == every.high
 
 
 def features(*logs: Run, **body: str) -> Features:
