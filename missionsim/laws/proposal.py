@@ -12,6 +12,7 @@ import numpy as np
 from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
+from missionsim.identify.forward import LOGGED
 from missionsim.identify.identification import Identification
 from missionsim.identify.noise import mean_variance
 from missionsim.identify.proposed import CLOCKS, FAR_BETTER, Curve, Law, Proposal, plain, state
@@ -157,8 +158,10 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
         told = all(seen.passed.values())
-    # what has the column of an effect that was refused is that effect; one whose form is in doubt may have this one
-    if not told or _twin(fitted, search.ground, found) not in ("", *found.demoted):
+    # what has the column of an effect that was refused is that effect; one whose form is in doubt may have this one, and
+    # watts of one of several like loads come with a factor that no converter has
+    twin = _twin(fitted, search.ground, found)
+    if not told or (twin not in ("", *found.demoted) and not twin.startswith(f"{LOGGED}:")):
         return None
     ground, errors = search.ground, fitted.errors
     relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))

@@ -88,3 +88,28 @@ def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:
     report, _ = diagnose(*make("rest_payload", 3).write(tmp_path))
     first = report["proposed_laws"][0]["forms"][0]
     assert first["formula"] == "k * (1 - (abs(speed_m_s) >= 0.005 or abs(yaw_rate_rad_s) >= 0.02)) * payload_kg"
+
+
+def test_watts_of_one_of_several_like_loads_are_a_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three arms draw alike and one of them is logged: no converter has that factor, and yet the column explains it."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    for number in range(8):
+        speed = np.repeat(rng.choice([0.0, 0.3, 0.6, 0.9, 1.2], size=20), 20)
+        arm = np.repeat(rng.choice([0.0, 20.0, 40.0], size=25), 16) * rng.uniform(0.9, 1.1, 400)
+        noise = np.zeros(400)
+        for i in range(1, 400):
+            noise[i] = 0.7 * noise[i - 1] + rng.normal(0.0, 0.15)
+        table = np.column_stack([np.arange(400) + 0.5, 12 * speed**2 + 30 * speed + 9 + 3 * arm + noise, speed, arm])
+        into = Path("train" if number < 6 else "later")
+        into.mkdir(exist_ok=True)
+        np.savetxt(
+            into / f"{number}.csv", table, "%.4f", ",", header="time_s,power_main_w,speed_m_s,arm_w", comments=""
+        )
+    base = ["calibrate", "--new", "rover", "--base", "k1*v + k0", "--mass", "20 kg", "train", "--quiet"]
+    assert run_command([*base, "--out", "rover.yaml"]) == 0
+    asked = ["improve", "--robot", "rover.yaml", "train", "--holdout", "later", "--yes", "--out", "better.yaml"]
+    assert run_command([*asked, "--json", "found.json", "--quiet"]) == 0
+    effect = yaml.safe_load(Path("better.yaml").read_text())["effects"][0]
+    assert effect["power"] == "k * arm_w"
+    assert effect["parameters"]["k"]["value"] == pytest.approx(3.0, rel=0.03)
