@@ -158,7 +158,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
         told = all(seen.passed.values())
-    # what has the column of an effect that was refused is that effect; one whose form is in doubt may have this one, and
+    # what has the column of a refused effect is that effect; one whose form is in doubt may have this one, and
     # watts of one of several like loads come with a factor that no converter has
     twin = _twin(fitted, search.ground, found)
     if not told or (twin not in ("", *found.demoted) and not twin.startswith(f"{LOGGED}:")):
