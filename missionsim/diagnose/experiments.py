@@ -129,8 +129,9 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
     if len(names) < 2:
         return []
     now = worst_lead(bench, constraints, bench.model.gram, names)
-    if now >= ENOUGH_NATS:  # by such a lead they would have been told apart: what no column shows stands against it
-        return [Experiment(tuple(names), ELSEWHERE)]
+    # by such a lead they would have been told apart, but for what no column shows: as much again must come
+    known = now >= ENOUGH_NATS
+    least = now + (ENOUGH_NATS if known else BETTER_NATS)
     about = {c.covariate for c in bench.features.candidates if c.effect in names} - {"speed_m_s", ""}
     scored = []
     for manoeuvre in library(bench.site):
@@ -141,7 +142,7 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
     scored.sort(key=lambda pair: (-min(pair[0], ENOUGH_NATS), len(pair[1].varies & about) != 1, -pair[0]))
     found = []
     for lead, manoeuvre in scored[:MOST_PROPOSED]:
-        if lead < now + BETTER_NATS:
+        if lead < least:
             continue
         chosen, times = manoeuvre, 1
         for times in LENGTHS:
@@ -153,7 +154,7 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
         do = manoeuvre.do if times == 1 else f"{manoeuvre.do}; {times} times as long"
         parts = tuple(part.to_json() for part in chosen.parts)
         found.append(Experiment(tuple(names), do, power_of(lead), now, lead, chosen.duration_s / 60.0, parts))
-    return found
+    return found or [Experiment(tuple(names), ELSEWHERE)] * known
 
 
 def power_of(lead_nats: float) -> float:

@@ -132,7 +132,8 @@ def test_power_of_a_lead_grows_from_nothing_to_certainty() -> None:
     ("leads", "told"),
     [
         ((13.0, 30.0, 4.0, 11.9), ["hill", "hill with payload"]),
-        ((13.0, 30.0, 4.0, 12.0), [experiments.ELSEWHERE]),  # the logs should have told them apart by themselves
+        ((13.0, 23.9, 4.0, 12.0), [experiments.ELSEWHERE]),  # the logs should have told them apart by themselves
+        ((13.0, 24.0, 4.0, 12.0), ["hill with payload"]),  # as much again
         ((13.0, 30.0, 4.0), ["hill", "hill with payload"]),  # both will do: first the one that varies a single cause
         ((1.5, 1.2, 1.8), []),  # a nat at least beyond what is known
         ((4.0, 1.2, 1.2), ["hill; 4 times as long"]),

@@ -101,7 +101,7 @@ def _experiment(
     row: Row = {"resolved_by_one": None, "resolved_by_two": None, "misled": None}
     for number, key in enumerate(("resolved_by_one", "resolved_by_two")):
         proposals = report["batteries"]["robot"].get("next_experiment", [])
-        if not proposals or "manoeuvre" not in proposals[0]:
+        if not proposals or not proposals[0].get("manoeuvre"):
             row[key] = row[key] or False
             return row
         row[f"driven_{number + 1}"] = proposals[0]["do"]
