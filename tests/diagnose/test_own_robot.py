@@ -193,9 +193,7 @@ def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
     assert (fit.delay_s, fit.lag_s) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("runs", "newtons", "named"), [(1, 20.0, False), (1, 60.0, False), (3, 60.0, True), (6, 20.0, True)]
-)
+@pytest.mark.parametrize(("runs", "newtons", "named"), [(1, 60.0, False), (3, 60.0, True), (6, 20.0, True)])
 def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
     runs: int, newtons: float, named: bool
 ) -> None:

@@ -25,11 +25,11 @@ STEP_S = 0.02
 
 
 def write_world(folder: Path, load: str, tau_s: float, size: float) -> None:
-    """Six drives to learn from and two others: a fan that runs on, or heat that follows the speed or the processor."""
+    """Six drives to learn from and two others: a fan that runs on, or heat that follows the processor."""
     rng = np.random.default_rng(5)
     for number in range(8):
-        asked = np.repeat(rng.choice([0.0, 0.0, 0.3, 0.6, 0.9, 1.2], size=20), round(20 / STEP_S))
-        busy = np.repeat(rng.choice([0.1, 0.4, 0.8, 1.0], size=27), round(15 / STEP_S))[: len(asked)]
+        asked = np.repeat(rng.choice([0.0, 0.0, 0.3, 0.6, 0.9, 1.2], size=14), round(20 / STEP_S))
+        busy = np.repeat(rng.choice([0.1, 0.4, 0.8, 1.0], size=19), round(15 / STEP_S))[: len(asked)]
         speed, heat = np.zeros(len(asked)), np.zeros(len(asked))
         heat[0] = busy[0] if load == "processor" else 0.0
         for i in range(1, len(asked)):
@@ -50,9 +50,7 @@ def write_world(folder: Path, load: str, tau_s: float, size: float) -> None:
         np.savetxt(into / f"run_{number}.csv", table, "%.5f", ",", header=header, comments="")
 
 
-@pytest.mark.parametrize(
-    ("load", "tau_s", "size"), [("fan", 20.0, 14.0), ("heat", 60.0, 8.0), ("processor", 25.0, 6.0)]
-)
+@pytest.mark.parametrize(("load", "tau_s", "size"), [("fan", 20.0, 14.0), ("processor", 25.0, 6.0)])
 def test_a_load_with_a_memory_is_found_written_and_simulated(
     load: str, tau_s: float, size: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -62,11 +60,7 @@ def test_a_load_with_a_memory_is_found_written_and_simulated(
     asked = ["improve", "--robot", "rover.yaml", "train", "--holdout", "later", "--yes", "--out", "better.yaml"]
     assert run_command([*asked, "--json", "found.json", "--quiet"]) == 0
     (effect,) = yaml.safe_load(Path("better.yaml").read_text())["effects"]
-    lags = {
-        "fan": "k * max(lag(abs(speed_m_s), {}) - abs(speed_m_s), 0)",
-        "heat": "k * lag(abs(speed_m_s), {})",
-        "processor": "k * lag(cpu_load, {})",
-    }
+    lags = {"fan": "k * max(lag(abs(speed_m_s), {}) - abs(speed_m_s), 0)", "processor": "k * lag(cpu_load, {})"}
     assert effect["power"] in [lags[load].format(tau) for tau in (13, 20, 30, 50, 80)]
     assert effect["parameters"]["k"]["value"] == pytest.approx(size, rel=0.15)
     Path("drive.yaml").write_text(

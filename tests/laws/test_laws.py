@@ -146,15 +146,18 @@ def test_a_band_that_lies_elsewhere_is_not_called_right(hidden: tuple[Path, Path
     assert held_by_band("v_w_m", hidden[3], moved) < 0.1
 
 
-def test_add_effect_writes_the_law_and_run_uses_it(
+def test_add_effect_and_improve_write_the_law_that_is_proposed_and_run_uses_it(
     hidden: tuple[Path, Path, dict[str, Any], Made], tmp_path: Path, root: Path
 ) -> None:
     train, heldout, report, _ = hidden
     formula = report["proposed_laws"][0]["forms"][0]["formula"]
-    robot = tmp_path / "law.yaml"
-    told = tmp_path / "told.json"
-    arguments = ["add-effect", "--robot", "pioneer3dx", str(train), "--out", str(robot), "--quiet"]
-    assert main([*arguments, "--formula", formula, "--json", str(told)]) == 0
+    robot, improved, told = (tmp_path / name for name in ("law.yaml", "improved.yaml", "told.json"))
+    logs = ["--robot", "pioneer3dx", str(train), "--holdout", "none", "--quiet"]
+    assert main(["add-effect", "--formula", "1", *logs, "--out", str(robot), "--json", str(told)]) == 0
+    assert main(["improve", "--yes", *logs, "--out", str(improved)]) == 0
+    one, other = (robot_from_text(path.read_text(encoding="utf-8")).effects[-1] for path in (robot, improved))
+    assert str(one.power) == str(other.power) == formula
+    assert one.parameters["k"].value == pytest.approx(other.parameters["k"].value, rel=0.01)
     made = json.loads(told.read_text(encoding="utf-8"))
     k = made["parameters"]["k"]
     assert k["low"] < k["value"] < k["high"]
@@ -172,23 +175,8 @@ def test_add_effect_writes_the_law_and_run_uses_it(
     assert made["effect"] in terms
 
 
-def test_a_form_that_is_proposed_is_what_add_effect_and_improve_add(
-    hidden: tuple[Path, Path, dict[str, Any], Made], tmp_path: Path
-) -> None:
-    train, _, report, _ = hidden
-    made = {}
-    for number, how in enumerate((["add-effect", "--formula", "1"], ["improve", "--yes"])):
-        out = tmp_path / f"{number}.yaml"
-        arguments = [*how, "--robot", "pioneer3dx", str(train), "--holdout", "none", "--out", str(out), "--quiet"]
-        assert main(arguments) == 0
-        made[how[0]] = robot_from_text(out.read_text(encoding="utf-8")).effects[-1]
-    one, other = made.values()
-    assert str(one.power) == str(other.power) == report["proposed_laws"][0]["forms"][0]["formula"]
-    assert one.parameters["k"].value == pytest.approx(other.parameters["k"].value, rel=0.01)
-
-
 def test_nothing_hidden_gives_no_formula(tmp_path: Path) -> None:
-    train, heldout = make(None, 12, runs=6, heldout=2, duration_s=240.0).write(tmp_path)
+    train, heldout = make(None, 12, runs=8, heldout=2, duration_s=300.0).write(tmp_path)
     report, _ = diagnose(train, heldout)
     assert report["proposed_laws"] == []
 

@@ -71,6 +71,7 @@ def test_the_car_needs_its_inertia_both_ways_and_the_slope(shared: Path) -> None
     assert found.steps[-2].energy_error_pct < found.steps[0].energy_error_pct
 
 
+@pytest.mark.study  # the last test here names them in a quarter of the time
 def test_the_huskys_floors_are_named(shared: Path) -> None:
     split = split_of(shared / "data" / "husky_floors")
     found = improved(split, "50 kg", "skid_steer")

@@ -59,9 +59,9 @@ def drives(folder: Path, count: int) -> list[Path]:
     paths = []
     for seed in range(count):
         rng = np.random.default_rng(seed)
-        fine_s, rows = 0.01, 3000
+        fine_s, rows = 0.01, 2000
         time_s = np.arange(rows * 10) * fine_s
-        wanted = np.repeat(rng.choice([0.0, 0.5, 1.0], 60), 500)
+        wanted = np.repeat(rng.choice([0.0, 0.5, 1.0], 40), 500)
         speed = np.empty(len(time_s))
         v = 0.0
         for i, w in enumerate(wanted.tolist()):
