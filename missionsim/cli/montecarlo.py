@@ -6,7 +6,7 @@ import logging
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +22,7 @@ from missionsim.report.terminal import console, show_table
 from missionsim.results.write import write_results
 from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Prepared, Task, answer_batch, prepare
 from missionsim.uncertainty.importance import refuse_correlated
-from missionsim.uncertainty.single import simulate_run, unread_values
+from missionsim.uncertainty.single import FAILED, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
 RESUMABLE = 130
@@ -186,6 +186,9 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
                 advance=lambda count: bar.advance(row, count),
                 on_damaged=tell_damaged,
             )
+        if all(told.startswith(FAILED) for part in store.tables(["message"], firsts) for told in part["message"]):
+            with suppress(ArithmeticError, ValueError, RuntimeError):
+                simulate_run(prepared.mission, prepared.model, prepared.sampler, batch.seed, 0)  # raises its fault
         if batch.plot:
             write_batch_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
     except KeyboardInterrupt:

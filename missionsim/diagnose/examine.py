@@ -13,12 +13,13 @@ from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.split import Split, lacking, stretches, with_same_causes
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 from missionsim.fit.final import of_formula
 from missionsim.fit.provenance import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
+from missionsim.identify.design import TooShortError
 from missionsim.identify.identification import Identification, identify, refutes
-from missionsim.identify.settings import LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
+from missionsim.identify.settings import FEWEST_INTERVALS, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -168,6 +169,11 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
                 break
             features, found = identified(subject, at_size(features, sizes))
             used = sizes
+    except TooShortError as error:
+        allowed = f"{FEWEST_INTERVALS} intervals of {settings.period_s:g} s or longer in a run"
+        told = [(log.source, f"{log.rows} rows in {float(np.sum(log.dt_s)):.3g} s") for log in train]
+        faults = [Fault(file, 0, 0, f"battery '{battery}': {error}", "", got, allowed) for file, got in told]
+        raise InputError(faults) from error
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
     remarks = [told for told in (left_out, thinned) if told]

@@ -38,6 +38,10 @@ HEAD_ROWS = 4
 """Rows before the gradient in a run's columns: base, motion, switching, speed change inside a row."""
 
 
+class TooShortError(ValueError):
+    """No run is long enough to learn from."""
+
+
 @dataclass(frozen=True)
 class Design:
     """Rows of all runs one after the other, at the analysis rate.
@@ -263,7 +267,7 @@ def make_source(
     kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= FEWEST_INTERVALS)
     runs, bins = [runs[i] for i in kept], [bins[i] for i in kept]
     if not runs:
-        raise ValueError(f"no run has at least {FEWEST_INTERVALS} analysis intervals with measured power")
+        raise TooShortError(f"no run has at least {FEWEST_INTERVALS} analysis intervals with measured power")
     layout = like.layout if like else _layout(runs, candidates, prior_sd, settings)
     columns: list[RunColumns] = []
     for run, b in zip(runs, bins, strict=True):

@@ -32,6 +32,7 @@ _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]
 _ASKED = {
     "tab": "blanks before a key, no tabs",
     "any token": "blanks before a key, no tabs; a text that begins with such a character in quotation marks",
+    "never closed": "the same mark at the end of the text",
     "mapping values": "keys of one block that begin in the same column; a text with ': ' in quotation marks",
     "expected key": "keys of one block that begin in the same column",
     "expected '-'": "entries of one list that begin in the same column",
@@ -239,6 +240,8 @@ def parse_document(text: str, *, name: str = "text") -> Document:
         marked: Any = problem if isinstance(problem, yaml.MarkedYAMLError) else None
         mark = marked and (marked.problem_mark or marked.context_mark)
         told = ((marked.problem or marked.context) if marked else "") or str(problem).splitlines()[0]
+        if marked and "quoted scalar" in (marked.context or "") and "end of stream" in told:
+            mark, told = marked.context_mark, "this quotation mark is never closed"
         line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
         allowed = next((words for sign, words in _ASKED.items() if sign in told), "")
         faults.append(Fault(name, line, column, f"not YAML: {told.strip()}", allowed=allowed))
@@ -324,7 +327,12 @@ def _tree(loader: Any, name: str, faults: list[Fault]) -> Node | None:
             if node.children is not None:
                 tell("a key must be plain text", got=as_written(node.data))
             pending[-1] = node.text
-            if node.text in parent.keys:
+            before = next(reversed(parent.children.values()), None) if isinstance(parent.children, dict) else None
+            cut = before is not None and type(before.data) is int and node.text[:1].isdigit()
+            if before and cut and (node.line, node.start) == (before.line, before.end + 1):
+                got, allowed = f"{before.text},{node.text}", f"{before.text}.{node.text}"
+                faults.append(Fault(name, before.line, before.column, "a decimal comma", got=got, allowed=allowed))
+            elif node.text in parent.keys:
                 first = parent.keys[node.text][0]
                 tell(f"key '{node.text}' given twice; the first is in line {first}", stop=False)
             else:

@@ -24,6 +24,8 @@ from missionsim.uncertainty.matrices import PROGRESS_POINTS
 
 MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
 """Runs, and their intervals, whose energies are evaluated together."""
+FAILED = "failed: "
+"""Before what is told of a run that could not be driven at all."""
 _FAILED = (MissionsimError, ArithmeticError, ValueError, RuntimeError)
 """What ends one run only."""
 
@@ -101,7 +103,7 @@ def simulate_block(
             if isinstance(found, Exception):
                 told = str(found) if isinstance(found, MissionsimError) else f"{type(found).__name__}: {found}"
                 found = {name: np.nan for name in columns if name.startswith("component_")}
-                found["message"] = f"failed: {told}"
+                found["message"] = f"{FAILED}{told}"
             for name, value in found.items():
                 columns[name][i] = value
     counted = [{} if plan is None else _chance(plan) for plan in made]

@@ -38,3 +38,15 @@ def test_a_frozen_meter_is_named(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     with pytest.raises(InputError, match="never changes in any run"):
         diagnose_files("pioneer3dx", [tmp_path / "run.csv"])
+
+
+def test_logs_that_are_all_too_short_are_named_with_what_they_hold(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a.csv", "b.csv")]
+    for path, rows in zip(paths, (5, 6), strict=True):
+        write(path, 1.0)
+        path.write_text("".join(path.read_text("utf-8").splitlines(keepends=True)[: rows + 1]), "utf-8")
+    with pytest.raises(InputError, match="no run has at least 8 analysis intervals") as caught:
+        diagnose_files("pioneer3dx", paths, holdout="none")
+    told = [(fault.file, fault.got, fault.allowed) for fault in caught.value.faults]
+    allowed = "8 intervals of 1 s or longer in a run"
+    assert told == [(str(paths[0]), "5 rows in 4.5 s", allowed), (str(paths[1]), "6 rows in 5.5 s", allowed)]

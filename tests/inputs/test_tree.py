@@ -57,7 +57,9 @@ def test_duplicate_key_is_refused_with_both_lines() -> None:
         ("[1]: 2", "f.yaml:1:1: error: a key must be plain text"),
         ("", "f.yaml:1:1: error: the file is empty"),
         ("# only a comment\n", "f.yaml:1:1: error: the file is empty"),
-        ("a: 'x", "f.yaml:1:6: error: not YAML: found unexpected end of stream"),
+        ("a: 'x", "f.yaml:1:4: error: not YAML: this quotation mark is never closed"),
+        ('a: 1\nb: "x\nc: 2\n', "f.yaml:2:4: error: not YAML: this quotation mark is never closed"),
+        ("a: {b: 3,5 m, c: 0,5 m/s}", "f.yaml:1:8: error: a decimal comma"),
         ("a: b: c", "f.yaml:1:5: error: not YAML: mapping values are not allowed in this context"),
         ("a:\n\tb: 1", "f.yaml:2:1: error: not YAML: found character that cannot start any token"),
         ("a: \x07", "f.yaml:1:4: error: control character in the text"),
@@ -78,6 +80,13 @@ def test_billion_laughs_are_refused() -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
     assert "too many values in the file" in faults_of("\n".join(lines))[0]
+
+
+def test_decimal_commas_are_told_each_with_what_was_meant() -> None:
+    told = faults_of("a: {b: 3,5 m, c: -0,5 m/s, d: 1, e: 2}\n")
+    assert [fault.splitlines()[0] for fault in told] == [f"f.yaml:1:{at}: error: a decimal comma" for at in (8, 18)]
+    assert "allowed: 3.5 m" in told[0]
+    assert "allowed: -0.5 m/s" in told[1]
 
 
 def test_anchors_are_allowed() -> None:

@@ -108,6 +108,19 @@ def test_a_drawn_probability_that_is_none_is_kept_as_a_failed_run(tmp_path: Path
     assert all(("was drawn" in text) == (value >= 1.0) for text, value in zip(block["message"], drawn, strict=True))
 
 
+def test_a_batch_whose_every_run_fails_on_what_is_drawn_is_a_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chance = "repeat_probability: {value: 50 %, distribution: {kind: normal, mean: 150 %, sd: 1 %}}"
+    path = written(tmp_path, f"segments:\n  - inspect: {{duration: 3 s, {chance}}}\n")
+    answer = tmp_path / "answer.json"
+    assert run_command(["montecarlo", path, "--runs", "20", "--json", str(answer)]) == 2
+    out, err = capsys.readouterr()
+    assert "mission.yaml:5: error: a probability of 1.5" in err
+    assert not out
+    assert not answer.exists()
+
+
 def test_a_run_beyond_the_batch_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["montecarlo", PATROL, "--runs", "20", "--only", "20"]) == 2
     assert "0 to 19" in capsys.readouterr().err
