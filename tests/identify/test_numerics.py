@@ -15,6 +15,7 @@ from missionsim.identify.design import make_source, switch_jumps
 from missionsim.identify.evidence import _chance_of_jackknife, _jackknife
 from missionsim.identify.gram import all_sets, make_gram, project, set_gains
 from missionsim.identify.noise import Packed, arma_of, start_noise
+from missionsim.identify.reml import _Likelihood
 from missionsim.identify.residual import hats, knots_of
 from missionsim.identify.settings import Settings
 
@@ -211,6 +212,15 @@ def test_the_noise_of_many_rows_is_fitted_to_runs_spread_over_all(monkeypatch: p
     assert rows == [39 * 410]
     assert some.sigma_w == pytest.approx(fit(design, ()).sigma_w, rel=0.02)
     assert len(some.weight) == 45 * 420
+
+
+def test_what_lasts_more_than_25_seconds_is_the_slow_noise_and_none_is_larger_than_the_fast(source):
+    """Nor do gains of runs differ by more than 5 %."""
+    design = source.design(source.clock)
+    likelihood = _Likelihood(design, 0, start_noise(design))
+    noise = replace(start_noise(design), fast_s=40.0, slow_s=10.0, fast_share=0.1, slow_share=0.3, gain=0.2)
+    place = np.exp(likelihood.place(noise))
+    assert place[[0, 1, 3, 6]] == pytest.approx([25.0, 25.0, 1.0, 0.05])
 
 
 def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None:

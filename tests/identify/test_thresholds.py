@@ -170,6 +170,28 @@ def test_what_keeps_half_of_its_gain_beside_a_curve_is_no_shadow(
     assert residual.stands_without(model, 0, Structure(COVARIATE, 0.0, 0.0, 0.1, "")) is stands
 
 
+def test_rows_beside_a_change_of_the_base_lie_on_a_ramp_and_two_behind_it() -> None:
+    """Of a base of 10 W that rises in the fifth row by 2.5 or 3.5 % of the mean power."""
+    for step_w, ramp in ((0.25, []), (0.35, [3, 4, 5, 6])):
+        base = np.where(np.arange(20) < 4, 10.0, 10.0 + step_w)
+        design = SimpleNamespace(y=base, base=base, stretches=[slice(0, 20)], layout=LAYOUT)
+        assert np.flatnonzero(residual.ramps(SimpleNamespace(design=design))).tolist() == ramp
+
+
+@pytest.mark.parametrize(("step_s", "block_s"), [(1.0, 60.0), (5.0, 75.0)])
+def test_a_curve_is_tested_in_blocks_of_a_minute(
+    monkeypatch: pytest.MonkeyPatch, step_s: float, block_s: float
+) -> None:
+    rows, asked = np.random.default_rng(1).normal(size=(3, 600)), []
+    seen = SimpleNamespace(rows=rows, pseudo=np.zeros((3, 1)))
+    noise = SimpleNamespace(scale=np.ones(600), sigma_w=1.0)
+    design = SimpleNamespace(residual=rows[0], layout=SimpleNamespace(step_s=step_s))
+    monkeypatch.setattr(residual, "project", lambda *_: seen)
+    monkeypatch.setattr(residual, "block_numbers", lambda _, length_s: asked.append(length_s) or np.arange(600))
+    residual.test_curve(SimpleNamespace(design=design, noise=noise), rows[1:], ())
+    assert asked == [block_s]
+
+
 @pytest.mark.parametrize(
     ("runs", "watts", "told"), [(1, 0.57, False), (1, 0.58, True), (8, 0.28, False), (8, 0.33, True)]
 )
