@@ -12,11 +12,12 @@ from missionsim.effects.base_terms import expression_term
 from missionsim.effects.covariates import Covariates
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
+from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import Proposal
 from missionsim.laws.grammar import unit_of
-from missionsim.laws.proposal import Z95, propose
+from missionsim.laws.proposal import propose
 from missionsim.runs.run import Run
 
 _SHORT = {

@@ -27,6 +27,7 @@ from missionsim.fit.provenance import (
     short_of,
 )
 from missionsim.glossary import column_of
+from missionsim.identify.estimates import Z95
 from missionsim.numerals import rounded
 from missionsim.runs.drive import drive
 from missionsim.runs.error import errors_of
@@ -318,7 +319,7 @@ def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
         return fit
     value = old.value + float(np.mean(blocks))
     value *= abs(value) > 1e-9 * sd  # a meter that reads nought leaves what rounding leaves
-    new = replace(old, value=value, sd=sd, low=value - 1.96 * sd, high=value + 1.96 * sd)
+    new = replace(old, value=value, sd=sd, low=value - Z95 * sd, high=value + Z95 * sd)
     return replace(fit, parameters={**fit.parameters, "standing": new})
 
 

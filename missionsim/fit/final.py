@@ -246,13 +246,8 @@ def _energies(runs: Sequence[RunData], names: Sequence[str]) -> tuple[Array, flo
     """Energy of all rows that were measured by parameter, and what the base leaves of the measured one [J]."""
     seconds = [np.where(np.isfinite(run.measured_w), run.dt_s, 0.0) for run in runs]
     x = [[float(dt @ run.gradient[n]) for n in names] for run, dt in zip(runs, seconds, strict=True)]
-    return np.sum(x, axis=0), float(sum(_energy(run, run.base_w) for run in runs))
-
-
-def _energy(run: RunData, power: Array) -> float:
-    """What a power leaves of the measured energy, over all rows that were measured [J]."""
-    seen = np.isfinite(run.measured_w)
-    return float(run.dt_s[seen] @ (run.measured_w - power)[seen])
+    y = sum(float(dt @ np.nan_to_num(run.measured_w - run.base_w)) for run, dt in zip(runs, seconds, strict=True))
+    return np.sum(x, axis=0), y
 
 
 def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import numpy as np
 from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
+from missionsim.identify.estimates import Z95
 from missionsim.identify.forward import LOGGED
 from missionsim.identify.identification import Identification
 from missionsim.identify.noise import mean_variance
@@ -56,7 +57,6 @@ MINUTES = (3, 6, 12)
 SEEN_SD = 2.0
 """Standard deviations of the difference of their means that the forms must differ by."""
 POINTS = 41
-Z95 = 1.96
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.forward import _Search
 from missionsim.identify.identification import identify
+from missionsim.identify.noise import bounded_noise
 from missionsim.identify.predictive import LeastSquares, far_from_right, sober_clock
 from missionsim.identify.settings import WORSE_ENERGY, WORSE_ENERGY_LEVEL, Settings
 
@@ -303,6 +304,14 @@ def test_rows_that_err_by_a_tenth_of_the_power_are_near_enough(usual: float, far
         part, side = np.where(rng.random(len(run.time_s)) < 0.15, 0.9, usual), rng.choice([-1.0, 1.0], len(run.time_s))
         runs.append(replace(run, measured_w=run.measured_w + part * side * run.measured_w.mean()))
     assert (far_from_right(make_source(runs, library(), {}, Settings(align=False))) is not None) is far
+
+
+def test_hardly_any_of_the_noise_beside_a_base_that_is_far_off_is_slow() -> None:
+    source = make_source(make_runs(1), library(), {}, Settings(align=False))
+    design = source.design(source.clock)
+    noise, squares = bounded_noise(design, LeastSquares.of(design), ()), LeastSquares.of(design)
+    assert noise.slow_share == pytest.approx(0.01)
+    assert noise.total_sd_w == pytest.approx(np.sqrt(squares.leave_out(()).total / squares.seconds.sum()), rel=0.1)
 
 
 def floors_of(rng: np.random.Generator, dear: tuple[float, ...]) -> LeastSquares:

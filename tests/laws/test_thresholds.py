@@ -196,6 +196,19 @@ def test_a_level_far_below_the_highest_is_none(monkeypatch: pytest.MonkeyPatch, 
     assert parts == pytest.approx({0: 1.0, 1: 0.5, 2: part})
 
 
+def test_five_quantities_have_levels_tried() -> None:
+    rng = np.random.default_rng(1)
+    rows = np.vstack([rng.random((7, 40)), np.repeat(np.eye(2), 20, axis=1)])
+    design = SimpleNamespace(duration_s=np.ones(40), gradient=np.ones((1, 40)), phi=np.zeros((0, 40)))
+    design.residual = 9.0 * rows[3] * rows[7] + rng.random(40)
+    ground = SimpleNamespace(design=design, chosen=(), covariates=[{}])
+    own = [SimpleNamespace(variable=f"q{i}", fine=False) for i in range(7)]
+    search = SimpleNamespace(ground=ground, grammar=SimpleNamespace(factors=own), rows=rows)
+    tried = levels._differing(search, [7, 8])
+    assert len(tried) == 5
+    assert tried[0] == (3,)
+
+
 @pytest.mark.parametrize(("texts", "factors_of_it"), [(1, 0), (6, 6), (7, 0)])
 def test_a_label_of_few_texts_has_a_factor_of_each(texts: int, factors_of_it: int) -> None:
     run = {"time_s": np.arange(70.0), "surface": Labels.of([f"floor {i % texts}" for i in range(70)])}
