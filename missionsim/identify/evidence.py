@@ -110,13 +110,12 @@ def robust(model: Model, column: int) -> tuple[float, float, float, float, float
 
     design, others = model.design, [c for c in model.chosen if c != column]
     rows = np.vstack([design.residual, design.phi[column]])
-    p = project(design, model.noise, rows, others)
-    x, x_pseudo = p.rows[1], p.pseudo[1]
+    (y, x), (y_pseudo, x_pseudo) = project(design, model.noise, rows, others)
     info = float(x @ x + x_pseudo @ x_pseudo)
     share, sd, block_p, run_sd, run_p = 0.0, np.inf, 1.0, np.inf, float("nan")
     if info > 0:
-        share = float(x @ p.rows[0] + x_pseudo @ p.pseudo[0]) / info
-        e = p.rows[0] - share * x
+        share = float(x @ y + x_pseudo @ y_pseudo) / info
+        e = y - share * x
         known = float(x_pseudo @ x_pseudo)
         # slow logs need longer blocks: ten rows at least, else neighbours are not independent
         blocks = block_numbers(model, max(model.constraints.settings.block_s, 10.0 * design.layout.step_s))

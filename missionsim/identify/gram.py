@@ -50,40 +50,20 @@ class Blocks:
         return blocks[:, self.index[:, None], self.index]
 
 
-def raw_blocks(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> Array:
-    """Whitened Gram matrix of rows, gradient, chosen columns and random effects of each run, shape (runs, k, k)."""
-    return Blocks.of(design, noise, rows, chosen).at(noise.shape) / noise.sigma_w**2
-
-
 def eliminate_random(blocks: Array, random_sd: Array) -> tuple[Array, Array]:
     """Integrate out the last five rows (random effects) of each run's Gram matrix.
 
-    Returns the reduced matrices (runs, k-5, k-5) and log det(I + D Z'Z) of each run.
+    Of one noise or several: blocks (..., runs, k, k), random_sd (..., 5). Gives the reduced matrices
+    (..., runs, k-5, k-5) and log det(I + D Z'Z) of each run.
     """
     r = RANDOM_COUNT
     # a random effect of no size is none, and must not divide by nothing
-    sd = np.maximum(random_sd, 1e-12)
-    cross = blocks[:, :-r, -r:] * sd
-    inner = blocks[:, -r:, -r:] * sd[:, None] * sd + np.eye(r)
-    factor = np.linalg.cholesky(inner)
-    half = np.linalg.solve(factor, np.swapaxes(cross, 1, 2))
-    reduced = blocks[:, :-r, :-r] - np.swapaxes(half, 1, 2) @ half
-    return reduced, 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-
-
-def total_without_random(blocks: Array, random_sd: Array, sigma_w: Array) -> tuple[Array, Array]:
-    """Sum over the runs of `eliminate_random(blocks / sigma_w**2, random_sd)`, from blocks of unit variance.
-
-    For several noises at once: blocks (noises, runs, k, k), random_sd (noises, 5), sigma_w (noises,).
-    """
-    r, k = RANDOM_COUNT, blocks.shape[-1]
-    sd = np.maximum(random_sd, 1e-12) / sigma_w[:, None]
-    scaled = blocks[:, :, -r:, :] * sd[:, None, :, None]
-    inner = scaled[:, :, :, -r:] * sd[:, None, None, :] + np.eye(r)
-    factor = np.linalg.cholesky(inner)
-    half = np.linalg.solve(factor, scaled[:, :, :, :-r]).reshape(len(blocks), -1, k - r)
-    total = (blocks[:, :, :-r, :-r].sum(axis=1) - half.swapaxes(1, 2) @ half) / (sigma_w**2)[:, None, None]
-    return total, 2.0 * np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=(1, 2))
+    sd = np.maximum(random_sd, 1e-12)[..., None, :]
+    scaled = blocks[..., -r:, :] * sd[..., None]
+    factor = np.linalg.cholesky(scaled[..., -r:] * sd[..., None, :] + np.eye(r))
+    half = np.linalg.solve(factor, scaled[..., :-r])
+    log_det = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return blocks[..., :-r, :-r] - half.swapaxes(-1, -2) @ half, log_det
 
 
 @dataclass(frozen=True)
@@ -168,7 +148,7 @@ class Gram:
 
 def reduced(design: Design, noise: Noise, chosen: Sequence[int]) -> tuple[Gram, float]:
     """Gram matrices of some columns under a noise model, and log det(I + D Z'Z) of the random effects of all runs."""
-    blocks = raw_blocks(design, noise, design.residual[None, :], chosen)
+    blocks = Blocks.of(design, noise, design.residual[None, :], chosen).at(noise.shape) / noise.sigma_w**2
     left, log_det = eliminate_random(blocks, noise.random_sd())
     return Gram(left, design.layout.prior_sd**-2.0), float(log_det.sum())
 
@@ -178,18 +158,9 @@ def make_gram(design: Design, noise: Noise) -> Gram:
     return reduced(design, noise, range(len(design.phi)))[0]
 
 
-@dataclass(frozen=True)
-class Projection:
-    """Whitened rows with base parameters, random effects and chosen columns projected out."""
-
-    rows: Array
-    """Shape (k, n)."""
-    pseudo: Array
-    """Rows of the priors (known variance), shape (k, q + runs * 5)."""
-
-
-def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> Projection:
-    """Residual of each row (k, n) after penalised regression on everything but the rows themselves."""
+def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
+    """What penalised regression on base parameters, random effects and chosen columns leaves of rows (k, n), whitened;
+    and the rows of the priors (known variance), shape (k, q + runs * 5)."""
     k = rows.shape[0]
     q, s = len(design.layout.prior_sd), len(chosen)
     prepared = Blocks.of(design, noise, rows, chosen)
@@ -210,17 +181,17 @@ def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) ->
         out[:, part] -= u.T @ white[k + q + s :, part]
     pseudo = [-(fixed[:q].T / design.layout.prior_sd)] if q else []
     pseudo.append(-(random / sd[:, None]).transpose(2, 0, 1).reshape(k, -1))
-    return Projection(out, np.hstack(pseudo))
+    return out, np.hstack(pseudo)
 
 
 def innovations(design: Design, noise: Noise, chosen: Sequence[int]) -> Array:
     """Whitened residual with the chosen columns in, shape (n,); unit variance if the noise model is right."""
-    return np.asarray(project(design, noise, design.residual[None, :], chosen).rows[0])
+    return np.asarray(project(design, noise, design.residual[None, :], chosen)[0][0])
 
 
 def random_effects(design: Design, noise: Noise, chosen: Sequence[int]) -> Array:
     """Most probable meter offset, gain, motion gain, clock and lag deviation of each run, shape (runs, 5)."""
-    p = project(design, noise, design.residual[None, :], chosen).pseudo[0]
+    p = project(design, noise, design.residual[None, :], chosen)[1][0]
     q = len(design.layout.prior_sd)
     sd = np.maximum(noise.random_sd(), 1e-12)
     return np.asarray(-p[q:].reshape(len(design.runs), RANDOM_COUNT) * sd)

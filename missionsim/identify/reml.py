@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.identify.design import Design
-from missionsim.identify.gram import Blocks, innovations, total_without_random
+from missionsim.identify.gram import Blocks, eliminate_random, innovations
 from missionsim.identify.noise import (
     Noise,
     Shape,
@@ -106,7 +106,8 @@ class _Likelihood:
     def __call__(self, places: Array | Sequence[Array], blocks: Array) -> Array:
         """Of several noises at once, each with its blocks, shape (noises, runs, k, k)."""
         levels = np.array([[*self.levels(x), JITTER_SD_S, LAG_JITTER_SD_S2] for x in places])
-        total, log_det = total_without_random(blocks, levels[:, 1:], levels[:, 0])
+        left, log_dets = eliminate_random(blocks / levels[:, 0, None, None, None] ** 2, levels[:, 1:])
+        total, log_det = left.sum(axis=1), log_dets.sum(axis=1)
         inner = total[:, 1 : self.fixed, 1 : self.fixed]
         inner[:, range(self.fixed - 1), range(self.fixed - 1)] += self.precision
         try:

@@ -130,10 +130,10 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     k = rows.shape[0]
     if not k:
         return 0.0, 1.0, np.zeros(0)
-    p = project(model.design, model.noise, np.vstack([model.design.residual, rows]), chosen)
-    x, y = p.rows[1:], p.rows[0]
-    info = x @ x.T + p.pseudo[1:] @ p.pseudo[1:].T
-    b = x @ y + p.pseudo[1:] @ p.pseudo[0]
+    whole, pseudo = project(model.design, model.noise, np.vstack([model.design.residual, rows]), chosen)
+    x, y = whole[1:], whole[0]
+    info = x @ x.T + pseudo[1:] @ pseudo[1:].T
+    b = x @ y + pseudo[1:] @ pseudo[0]
     # knots that the base imitates carry rounding only
     keep = np.diag(info) > 1e-6 * np.sum((rows / model.noise.scale) ** 2, axis=1) / model.noise.sigma_w**2
     values = np.zeros(k)
@@ -152,7 +152,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     if count <= freedom + 3:
         return gain, p_like, values
     scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in x[keep]])
-    meat = scores @ scores.T * count / (count - freedom) + p.pseudo[1:][keep] @ p.pseudo[1:][keep].T
+    meat = scores @ scores.T * count / (count - freedom) + pseudo[1:][keep] @ pseudo[1:][keep].T
     meat[np.diag_indices_from(meat)] *= 1 + 1e-6
     statistic = float(b[keep] @ np.linalg.solve(meat, b[keep]))
     wald = statistic * (count - freedom) / (freedom * max(count - 1, 1))

@@ -53,8 +53,7 @@ def common_factor(model: Model) -> tuple[float, float]:
     integrated out, so that a factor within the priors counts for nothing.
     """
     design = model.design
-    seen = project(design, model.noise, np.vstack([design.residual, design.base]), ())
-    left, base = np.hstack([seen.rows, seen.pseudo])
+    left, base = np.hstack(project(design, model.noise, np.vstack([design.residual, design.base]), ()))
     # a base that recalibration wholly takes up shows no factor
     size = float(base @ base)
     if not model.chosen or size <= 0.0:

@@ -88,11 +88,11 @@ def test_gram_is_dense_generalised_least_squares(source):
 def test_projection_and_gram_agree(source):
     design = source.design(source.clock)
     noise = start_noise(design)
-    p = project(design, noise, np.vstack([design.residual, design.phi[3]]), [0])
-    score = p.rows[0] @ p.rows[1] + p.pseudo[0] @ p.pseudo[1]
+    (y, x), (y_prior, x_prior) = project(design, noise, np.vstack([design.residual, design.phi[3]]), [0])
+    score = y @ x + y_prior @ x_prior
     rest = make_gram(design, noise).conditional([0])
     assert score == pytest.approx(rest[0, 4], rel=1e-6)
-    assert p.rows[1] @ p.rows[1] + p.pseudo[1] @ p.pseudo[1] == pytest.approx(rest[4, 4], rel=1e-6)
+    assert x @ x + x_prior @ x_prior == pytest.approx(rest[4, 4], rel=1e-6)
 
 
 def test_best_feasible_set_is_non_negative_least_squares(source):

@@ -183,10 +183,9 @@ def test_a_curve_is_tested_in_blocks_of_a_minute(
     monkeypatch: pytest.MonkeyPatch, step_s: float, block_s: float
 ) -> None:
     rows, asked = np.random.default_rng(1).normal(size=(3, 600)), []
-    seen = SimpleNamespace(rows=rows, pseudo=np.zeros((3, 1)))
     noise = SimpleNamespace(scale=np.ones(600), sigma_w=1.0)
     design = SimpleNamespace(residual=rows[0], layout=SimpleNamespace(step_s=step_s))
-    monkeypatch.setattr(residual, "project", lambda *_: seen)
+    monkeypatch.setattr(residual, "project", lambda *_: (rows, np.zeros((3, 1))))
     monkeypatch.setattr(residual, "block_numbers", lambda _, length_s: asked.append(length_s) or np.arange(600))
     residual.test_curve(SimpleNamespace(design=design, noise=noise), rows[1:], ())
     assert asked == [block_s]
