@@ -62,7 +62,7 @@ def nav2(
     """
     spec = load_robot(robot)
     if battery and battery not in spec.batteries:
-        raise InputError.single(f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(spec.batteries))
+        raise InputError.unknown(f"the robot has no battery '{battery}'", battery, spec.batteries)
     _within(("--time-weight", time_weight, 0.0, 1e6), ("--payload", payload, 0.0, 1e6), ("--speed", speed, 1e-3, 60.0))
     found = export_costs(
         graph, spec, battery=battery, wh_per_s=time_weight, speed=speed, best_speed=best_speed, payload_kg=payload

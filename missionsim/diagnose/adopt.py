@@ -153,9 +153,7 @@ def adopt(
 
     subject = Subject.of(robot)
     if battery not in robot.batteries:
-        raise InputError.single(
-            f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
-        )
+        raise InputError.unknown(f"the robot has no battery '{battery}'", battery, robot.batteries)
     law: Finding | None = None
     if formula:
         named = judged(seen := examine(subject, split, battery, settings), settings)
@@ -293,12 +291,7 @@ def _check_testable(seen: Examined, effect: str) -> None:
         )
     known = [candidate.effect for candidate in features.candidates]
     if effect not in known:
-        raise InputError.single(
-            f"'{effect}' is not an effect that these logs can test",
-            got=effect,
-            allowed=", ".join(known),
-            hint=did_you_mean(effect, known),
-        )
+        raise InputError.unknown(f"'{effect}' is not an effect that these logs can test", effect, known)
 
 
 def _supported(seen: Examined, named: Named, effect: str, settings: Settings) -> tuple[tuple[Finding, ...], str]:

@@ -128,14 +128,12 @@ def diagnose(
     split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.model)
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
     if battery is not None and battery not in measured:
-        raise InputError.single(f"no log measures the battery '{battery}'", got=battery, allowed=", ".join(measured))
+        raise InputError.unknown(f"no log measures the battery '{battery}'", battery, measured)
     done: dict[str, BatteryDiagnosis] = {}
     skipped: dict[str, InputError] = {}
     for name in measured if battery is None else [battery]:
         if name not in subject.model.batteries:
-            skipped[name] = InputError.single(
-                f"the robot has no battery '{name}'", got=name, allowed=", ".join(subject.model.batteries)
-            )
+            skipped[name] = InputError.unknown(f"the robot has no battery '{name}'", name, subject.model.batteries)
             continue
         try:
             done[name] = diagnose_battery(subject, split, name, timeline, settings)

@@ -48,14 +48,14 @@ def proposed_laws(
     if (made := propose(found, covariates)) is None:
         return ()
     if models is None or not heldout:
-        return (made.proposal,)
-    named = [e for e in found.effects if e.effect not in made.proposal.instead_of]
-    law = as_finding(made.proposal)
+        return (made,)
+    named = [e for e in found.effects if e.effect not in made.instead_of]
+    law = as_finding(made)
     fits = (models.fit(named), with_law(models, law.effect, law.effect).fit([*named, law]))
     before, after = (models.errors(fit.model, heldout) for fit in fits)
     energy_pct = (before.run_energy_error_pct, after.run_energy_error_pct)
     rmse_w = (before.power_rmse_w, after.power_rmse_w)
-    return (replace(made.proposal, heldout_rmse_w=rmse_w, heldout_energy_pct=energy_pct),)
+    return (replace(made, heldout_rmse_w=rmse_w, heldout_energy_pct=energy_pct),)
 
 
 def with_law(models: Models, name: str, formula: str) -> Models:

@@ -14,7 +14,7 @@ import numpy as np
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
 from missionsim.labels import Labels
@@ -125,13 +125,10 @@ def choose_split(
     known = [log.run for log in logs]
     for name in names:
         if name not in known:
-            raise InputError.single(
-                f"--holdout: there is no run '{name}'",
-                got=name,
-                allowed="a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs "
-                + ", ".join(known),
-                hint=did_you_mean(name, known),
+            allowed = (
+                f"a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs {', '.join(known)}"
             )
+            raise InputError.unknown(f"--holdout: there is no run '{name}'", name, known, allowed=allowed)
     held, train = (tuple(log for log in logs if (log.run in names) == out) for out in (True, False))
     if not train:
         raise InputError.single("every run is held out; nothing is left to fit", got=text)

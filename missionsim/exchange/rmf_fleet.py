@@ -167,8 +167,7 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
     fleet = read_fleet(path)
     battery = battery or (robot.motion.battery if robot.motion else next(iter(robot.batteries)))
     if battery not in robot.batteries:
-        allowed = ", ".join(robot.batteries)
-        raise InputError.single(f"the robot has no battery '{battery}'", got=battery, allowed=allowed)
+        raise InputError.unknown(f"the robot has no battery '{battery}'", battery, robot.batteries)
     remarks: list[str] = []
     new = dict(fleet.numbers)
     store = robot.batteries[battery]

@@ -120,9 +120,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     updates: dict[str, dict[str, Any]] = {}
     for name in wanted:
         if name not in model.batteries:
-            refused.append(
-                InputError.single(f"the robot has no battery '{name}'", got=name, allowed=", ".join(model.batteries))
-            )
+            refused.append(InputError.unknown(f"the robot has no battery '{name}'", name, model.batteries))
             continue
         try:
             fit = fit_parameters(aged_model, logs, name)
@@ -167,13 +165,8 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     """
     if not any(robot.battery in log.power_w for log in logs):
         measured = sorted({name for log in logs for name in log.power_w})
-        raise InputError.single(
-            f"no log measures the battery '{robot.battery}'",
-            file="--battery",
-            got=robot.battery,
-            allowed=", ".join(measured),
-            hint=did_you_mean(robot.battery, measured),
-        )
+        told = f"no log measures the battery '{robot.battery}'"
+        raise InputError.unknown(told, robot.battery, measured, file="--battery")
     remarks: list[str] = []
     formula = compile_expression(robot.base, file="--base")
     shared = set.intersection(*(set(log.columns) for log in logs))

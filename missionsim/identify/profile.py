@@ -21,19 +21,11 @@ from missionsim.physics import Array
 def refit_shapes(
     choice: Choice, columns: Iterable[int], limited: bool = True
 ) -> tuple[Choice, dict[str, dict[str, float]]]:
-    """The choice with the shapes of the given columns at their best, and these shapes, with 95 % limits if `limited`.
-
-    An effect whose shape cannot be evaluated elsewhere keeps its grid value.
-    """
+    """The choice with the shapes of some columns at their best, and these shapes, with 95 % limits if `limited`."""
     shapes: dict[str, dict[str, float]] = {}
     for column in columns:
         candidate = choice.model.constraints.of_column(column)
-        position = choice.model.source.layout.columns[column].position
-        if candidate.levels or not candidate.shape or not candidate.shape[position]:
-            continue
-        if candidate.refit is None:
-            shapes[candidate.effect] = dict(candidate.shape[position])
-        else:
+        if candidate.refit is not None:
             choice, shapes[candidate.effect] = _refit(choice, column, candidate, limited)
     return choice, shapes
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -59,16 +58,7 @@ SEEN_SD = 2.0
 POINTS = 41
 
 
-@dataclass(frozen=True)
-class Proposed:
-    """A proposal and the fit that it rests on, for predictions."""
-
-    proposal: Proposal
-    fitted: Fitted
-    ground: Ground
-
-
-def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed | None:
+def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposal | None:
     """The law that an identification lacks, or None where nothing passes every gate.
 
     `covariates`: covariates of every run that was given to it, at the raw rate, with those derived from the log.
@@ -80,16 +70,16 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
     plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
     if late is None or plain is None:
         # the wider search may end with a form that remembers nothing, where what leads the narrower one fails
-        first = None if late is None else late.proposal.first
+        first = None if late is None else late[0].first
         at_once = first is not None and "lag(" not in first.formula and not CLOCKS & {*first.variables}
-        return late if late is not None and (at_once or late.proposal.far_better) else plain
+        one = late if late is not None and (at_once or late[0].far_better) else plain
+        return one and one[0]
     # whatever is slow looks like a lag, so that it must be far better; how left-out runs are predicted rests on the
     # noise that a fit ends with, so that both are compared at the same
     error, other = (
-        left_out(one.ground.at_noise(one.ground.extended(one.fitted.watts), one.ground.usual())).with_law
-        for one in (late, plain)
+        left_out(own.at_noise(own.extended(fitted.watts), own.usual())).with_law for _, fitted, own in (late, plain)
     )
-    return late if error < FAR_BETTER * other else plain
+    return (late if error < FAR_BETTER * other else plain)[0]
 
 
 def _own_meter(ground: Ground) -> set[str]:
@@ -137,7 +127,10 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     return [forms[lead], *others][:MOST_LAWS], beside, fitted, gates(fitted, clock=bool(read[lead] & CLOCKS))
 
 
-def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identification) -> Proposed | None:
+def _propose(
+    ground: Ground, grammar: Grammar, memory: bool, found: Identification
+) -> tuple[Proposal, Fitted, Ground] | None:
+    """A proposal, and the fit that it rests on."""
     search = Search(ground, grammar, memory)
     done = search.best()
     if done is None:
@@ -188,7 +181,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         experiment=_experiment(laws, curve, possible, found.noise),
         instead_of=instead,
     )
-    return Proposed(made, fitted, ground)
+    return made, fitted, ground
 
 
 def _set(near: Sequence[Scored], grammar: Grammar) -> tuple[list[Scored], list[Scored]]:

@@ -118,8 +118,8 @@ def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
     found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05, "standing": 0.05})
     made = propose(found, [run.covariates for run in runs])
     assert made is not None
-    assert set(made.proposal.first.variables) == {"yaw_rate_rad_s"}
-    assert made.proposal.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
+    assert set(made.first.variables) == {"yaw_rate_rad_s"}
+    assert made.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
 
 
 def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -> None:
@@ -142,5 +142,5 @@ def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -
     found = identify(runs, [Candidate("grade", ("grade",))], dict.fromkeys(("c3", "c4", "standing"), 1.0))
     made = propose(found, [run.covariates for run in runs])
     assert made is not None
-    assert made.proposal.first.variables == ("camera",)
-    assert made.proposal.first.k == pytest.approx(2.2, rel=0.1)
+    assert made.first.variables == ("camera",)
+    assert made.first.k == pytest.approx(2.2, rel=0.1)
