@@ -25,8 +25,6 @@ from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
 NOTHING_LEFT = "nothing is left above the detection limits"
-MOST_LAWS = 3
-"""Proposed laws that are offered once the library has nothing more to add."""
 MOVED = 0.1
 """Change of a size, in parts of it, that is told."""
 CLOCK_MOVES_S = 0.05
@@ -167,7 +165,7 @@ class Rounds:
         self.by_law: set[str] = set()
         self.asked: dict[str, float] = {}
         """Part of the energy that each had when it came in."""
-        self.laws, self.again = 0, False
+        self.again = False
         self.aside: State | None = None
         """With what the library named beside a law and that law as it was, while another form of it is looked for."""
 
@@ -223,7 +221,7 @@ class Rounds:
         found = [effect for effect in new if effect.effect not in self.by_law]
         taken = [*state.taken, *new]
         if found and not self.again:  # a law found without them has another form beside them: once more without it
-            self.laws, self.again = 0, bool(self.by_law)
+            self.again = bool(self.by_law)
             if self.again:
                 counted = self.nothing.copy()
                 self.settle(*self.together(state, taken))
@@ -240,9 +238,8 @@ class Rounds:
         state, battery = self.state, self.battery
         offered = (p for p in state.last.proposed_laws if not p.open)
         law = next((p for p in offered if p.first.formula not in {*self.declined, *self.nothing}), None)
-        if law is None or self.laws == MOST_LAWS:
+        if law is None:
             return False
-        self.laws += 1
         formula = law.first.formula
         if not self.ask(as_finding(law), state.last):
             self.declined.append(formula)

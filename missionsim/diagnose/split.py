@@ -16,7 +16,7 @@ from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
-from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
+from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
 from missionsim.labels import Labels
 from missionsim.runs.admit import admit, admit_to_test
 from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from missionsim.effects.model import PowerModel
     from missionsim.inputs.robot import RobotSpec
 
-FEWEST_RUNS = 4
-"""With fewer runs none is held out unless the user says so."""
 BEYOND_SD = 2.0
 """Standard deviations of the fitted runs' means from which on other runs lie beyond them (assumed)."""
 
@@ -86,7 +84,7 @@ def choose_split(
     """
     logs = tuple(logs)
     if holdout is None:
-        if len(logs) < FEWEST_RUNS:
+        if len(logs) <= SEVERAL_RUNS:
             return Split(
                 logs,
                 (),

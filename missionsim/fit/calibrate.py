@@ -35,7 +35,6 @@ from missionsim.runs.run import Run
 
 SHORTEST_STANDING_S = 5.0
 """Time at rest from which the standing power is fitted on its own."""
-LEAST_CHANGES = 2
 SETTLING_S = 3.0
 REST_BLOCK_S = 10.0
 _OPTIONS = {
@@ -275,7 +274,7 @@ def _components(logs: Sequence[Run], remarks: list[str]) -> dict[str, int]:
     for column in names:
         values = np.concatenate([np.asarray(log.columns[column], dtype=float) for log in logs if column in log.columns])
         values = values[np.isfinite(values)]
-        if len(np.unique(values)) >= LEAST_CHANGES:
+        if len(np.unique(values)) > 1:
             found[column[3:]] = max(1, math.ceil(float(np.max(values))))
         else:
             remarks.append(f"{column[3:]} was never switched in these logs: its power is part of the base")
