@@ -19,7 +19,7 @@ from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, runs_apart, wrong_form
-from missionsim.identify.rules import Remains, demoted, refusal
+from missionsim.identify.rules import demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
@@ -129,7 +129,6 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
     seen = {s.covariate for s in forms.values()}
     rest = tuple(s for s in dependences(model) if s.covariate not in seen)
     loose = tuple(s for s in (periodic(model), low_frequency_noise(model)) if s is not None)
-    remains = Remains(forms, rest, loose)
     apart, meters_apart = runs_apart(model)
     structures = (*forms.values(), *rest, *loose, *(() if apart is None else (apart,)))
 
@@ -140,7 +139,7 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
         shifted = drifts_instead(model)
         if near:
             shifted |= parameters_instead(model)
-            doubtful = [k for k in model.chosen if demoted(model, choice.evidence[k], remains)]
+            doubtful = [k for k in model.chosen if demoted(model, choice.evidence[k], forms, rest, loose)]
         else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
             doubtful = [k for k in forms if not constraints.of_column(k).levels]
         structures = (*shifted.values(), *structures)

@@ -6,8 +6,8 @@ model once the search has ended, against what remains in the residual; a demoted
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from missionsim.identify.evidence import (
     Evidence,
@@ -89,22 +89,22 @@ def implied_shift(model: Model, column: int, share: float) -> float:
     return float(share * (phi @ gradient) / size / layout.prior_sd[q])
 
 
-@dataclass(frozen=True)
-class Remains:
-    """What remains in the residual, by kind: wrong forms of effects in the model by their column, dependences on
-    covariates, and loose structure (a periodic load, low-frequency noise)."""
+def demoted(
+    model: Model,
+    evidence: Evidence,
+    forms: Mapping[int, Structure],
+    dependences: Sequence[Structure] = (),
+    loose: Sequence[Structure] = (),
+) -> str:
+    """The first reason not to name an effect that the model keeps, empty where there is none.
 
-    forms: dict[int, Structure]
-    dependences: tuple[Structure, ...]
-    loose: tuple[Structure, ...]
-
-
-def demoted(model: Model, evidence: Evidence, remains: Remains) -> str:
-    """The first reason not to name an effect that the model keeps, empty where there is none."""
+    What remains in the residual, by kind: wrong `forms` of effects by their column, `dependences` on covariates, and
+    `loose` structure (a periodic load, low-frequency noise).
+    """
     column, candidate = evidence.column, model.constraints.of_column(evidence.column)
-    if column in remains.forms:
+    if column in forms:
         return "its form is not right"
-    if remains.loose:
+    if loose:
         if candidate.effect.partition(":")[0] in STEADY_LOADS:
             return "a load that comes and goes has its mean"
         gain = evidence.gain
@@ -119,7 +119,7 @@ def demoted(model: Model, evidence: Evidence, remains: Remains) -> str:
         if not stuck and not between and gain < FAINT_NATS:
             return "faint beside low-frequency noise"
     # a curve over the effect's own covariate is judged as its form
-    others = [s for s in (*remains.forms.values(), *remains.dependences) if s.covariate != candidate.covariate]
+    others = [s for s in (*forms.values(), *dependences) if s.covariate != candidate.covariate]
     if any(not stands_without(model, column, s) for s in others):
         return "shadow of another structure"
     return ""

@@ -22,7 +22,7 @@ from missionsim.identify.gram import Gram
 from missionsim.identify.identification import Identification, fit_effects, identify, refutes
 from missionsim.identify.model import Model, spread_runs
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.rules import Remains, demoted, gates, last_gates
+from missionsim.identify.rules import demoted, gates, last_gates
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
 
@@ -297,26 +297,26 @@ def test_the_verdict(effects, structures, demoted_names, rest, verdict) -> None:
 def test_each_demotion_alone_keeps_an_effect_unnamed(grade: Question) -> None:
     column = grade.evidence.column
     model, evidence = grade.model, grade.evidence
-    loose = Remains({}, (), (LOOSE,))
-    assert demoted(model, evidence, Remains({}, (), ())) == ""
-    assert demoted(model, evidence, Remains({column: STRUCTURE}, (), ())) == "its form is not right"
+    loose = ({}, (), (LOOSE,))
+    assert demoted(model, evidence, {}) == ""
+    assert demoted(model, evidence, {column: STRUCTURE}) == "its form is not right"
     standby = question(fitted("standby_load", 0.2))
-    assert demoted(standby.model, standby.evidence, loose) == "a load that comes and goes has its mean"
-    assert demoted(model, replace(evidence, gain=500.0), loose) == ""
-    assert demoted(model, replace(evidence, gain=45.0), loose) == "faint beside low-frequency noise"
+    assert demoted(standby.model, standby.evidence, *loose) == "a load that comes and goes has its mean"
+    assert demoted(model, replace(evidence, gain=500.0), *loose) == ""
+    assert demoted(model, replace(evidence, gain=45.0), *loose) == "faint beside low-frequency noise"
     payload = question(fitted("payload", 0.1))  # constant in each run, which are the sample then
-    assert demoted(payload.model, replace(payload.evidence, gain=45.0, p_runs=1e-9), loose) == ""
-    assert demoted(payload.model, replace(payload.evidence, gain=45.0, p_runs=1e-3), loose).startswith("faint")
-    assert demoted(model, replace(evidence, gain=45.0, p_runs=1e-9), loose).startswith("faint")
+    assert demoted(payload.model, replace(payload.evidence, gain=45.0, p_runs=1e-9), *loose) == ""
+    assert demoted(payload.model, replace(payload.evidence, gain=45.0, p_runs=1e-3), *loose).startswith("faint")
+    assert demoted(model, replace(evidence, gain=45.0, p_runs=1e-9), *loose).startswith("faint")
     label = question(fitted("surface_rolling_resistance", 0.1))
     one_level = replace(label.evidence, gain=5.0)
-    assert demoted(label.model, one_level, loose) == ""  # a label is as faint as all its levels together
+    assert demoted(label.model, one_level, *loose) == ""  # a label is as faint as all its levels together
     # a free curve over the slope takes all that grade explains, and grade is no curve over the payload
     slope = replace(STRUCTURE, covariate="slope_rad", times="speed_m_s")
     elsewhere = [replace(c, covariate="payload_kg") for c in model.constraints.candidates]
     payload = with_constraints(model, replace(model.constraints, candidates=elsewhere))
-    assert demoted(payload, evidence, Remains({}, (slope,), ())) == "shadow of another structure"
-    assert demoted(payload, evidence, Remains({}, (replace(slope, covariate="payload_kg"),), ())) == ""
+    assert demoted(payload, evidence, {}, (slope,)) == "shadow of another structure"
+    assert demoted(payload, evidence, {}, (replace(slope, covariate="payload_kg"),)) == ""
 
 
 def test_runs_that_share_a_gain_do_not_differ() -> None:
