@@ -49,7 +49,7 @@ def test_a_short_drive_is_judged_alike_by_all_commands(warthog: list[LogTable]) 
     assert "these data do not name (perhaps turning_scrub)" in headline(found)
     assert found.noise["sd_w"] < rmse_w  # it was predicted from a third of the run, and told as noise
     for asked, formula in (("turning_scrub", False), ("k * abs(yaw_rate_rad_s)", True)):
-        with pytest.raises(NotSignificant, match="50 % of the energy ± 27: not significant"):
+        with pytest.raises(NotSignificant, match="48 % of the energy ± 26: not significant"):
             adopt(text, robot_from_text(text), split, asked, "robot", Settings(), formula=formula)
     assert improve(text, split, "robot", Settings(), lambda *_: True).added == ()
 
@@ -80,7 +80,7 @@ def test_what_improve_says_is_left_is_what_diagnose_says_of_its_file(root: Path,
     found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
     assert json.dumps(made.last.to_json()) == json.dumps(found.to_json())
     assert found.unexplained.shape in made.stopped
-    assert "(applied; the file has it 0.32 s ahead of the motion" in dict(report(found))["CLOCK"]
+    assert "(applied; the file has it 0.35 s ahead of the motion" in dict(report(found))["CLOCK"]
     # what is told of the slope is what compare sees of it
     (told,) = map(float, re.findall(r"slope .*\(by ([\d.]+) % of the power\)", found.unexplained.shape))
     robot = tmp_path / "improved.yaml"
