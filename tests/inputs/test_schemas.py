@@ -24,6 +24,11 @@ SHIPPED = sorted(
 )
 
 
+def committed(kind: str) -> dict[str, Any]:
+    """The schema as it is shipped, which is the one that is made, as the first test says."""
+    return dict(json.loads((SCHEMA_FOLDER / f"{kind}.schema.json").read_text(encoding="utf-8")))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_committed_schemas_are_fresh(kind: str) -> None:
     path = SCHEMA_FOLDER / f"{kind}.schema.json"
@@ -32,7 +37,7 @@ def test_committed_schemas_are_fresh(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_schemas_are_schemas(kind: str) -> None:
-    jsonschema.Draft202012Validator.check_schema(schema(kind))
+    jsonschema.Draft202012Validator.check_schema(committed(kind))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
@@ -64,7 +69,7 @@ MISSION: dict[str, Any] = {"kind": "mission", "name": "m", "robot": "r", "segmen
     ],
 )
 def test_schema_refuses_what_the_checks_refuse(change: dict[str, Any]) -> None:
-    validator = jsonschema.Draft202012Validator(schema("mission"))
+    validator = jsonschema.Draft202012Validator(committed("mission"))
     assert validator.is_valid(MISSION)
     assert not validator.is_valid(MISSION | change)
 
@@ -105,7 +110,7 @@ def own_schema(tmp_path: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("what", MISTAKES)
 def test_an_editor_catches_usual_mistakes(what: str, tmp_path: Path) -> None:
-    validator = jsonschema.Draft202012Validator(schema("robot"))
+    validator = jsonschema.Draft202012Validator(committed("robot"))
     validator.validate(parse_document(ROBOT).data)
     old, new = MISTAKES[what]
     assert old in ROBOT
@@ -126,7 +131,7 @@ def test_schema_of_one_robot_knows_its_batteries_and_components(tmp_path: Path) 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_property_has_a_description_and_a_default(kind: str) -> None:
-    made = schema(kind)
+    made = committed(kind)
     for name, definition in [(kind, made), *made["$defs"].items()]:
         if name.startswith("quantity"):
             continue
