@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import combinations
@@ -76,6 +76,12 @@ class Grammar:
 
         new = Factor(name, f"({text})", f"({symbol})", 1, fine=True)
         return Grammar((*self.factors, new), (*self.values, values))
+
+    def without(self, names: Container[str]) -> Grammar:
+        """The grammar without the factors of some quantities and of their memories."""
+        pairs = zip(self.factors, self.values, strict=True)
+        left = [(f, v) for f, v in pairs if f.variable.partition(" ")[0] not in names]
+        return Grammar(tuple(f for f, _ in left), tuple(v for _, v in left))
 
     def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).

@@ -128,7 +128,7 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
 
 
 def _propose(
-    ground: Ground, grammar: Grammar, memory: bool, found: Identification
+    ground: Ground, grammar: Grammar, memory: bool, found: Identification, *, once_more: bool = True
 ) -> tuple[Proposal, Fitted, Ground] | None:
     """A proposal, and the fit that it rests on."""
     search = Search(ground, grammar, memory)
@@ -155,7 +155,10 @@ def _propose(
     # watts of one of several like loads come with a factor that no converter has
     twin = _twin(fitted, search.ground, found)
     if not told or (twin not in ("", *found.demoted) and not twin.startswith(f"{LOGGED}:")):
-        return None
+        # what leads and fails may hide what holds
+        lead = {*search.grammar.variables(near[0].form)} - {"speed_m_s"}
+        rest = grammar.without(lead) if once_more and lead else None
+        return None if rest is None else _propose(ground, rest, memory, found, once_more=False)
     ground, errors = search.ground, fitted.errors
     relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
     laws = tuple(_law(one, near[0], fitted.share, relative, search) for one in near)
