@@ -46,11 +46,14 @@ class Bins:
     """First bin of each stretch without a gap."""
 
 
-def _row_edges(time_s: Array) -> tuple[Array, float]:
-    """Edges that split the time half-way between the rows, and the usual step."""
+def _row_edges(time_s: Array) -> tuple[Array, Array, Array, float]:
+    """Edges that split the time half-way between the rows, where the reach of each row begins and ends, which is
+    shorter beside a gap, and the usual step."""
     step = float(np.median(np.diff(time_s)))
     middle = 0.5 * (time_s[1:] + time_s[:-1])
-    return np.concatenate([[time_s[0] - 0.5 * step], middle, [time_s[-1] + 0.5 * step]]), step
+    edges = np.concatenate([[time_s[0] - 0.5 * step], middle, [time_s[-1] + 0.5 * step]])
+    low, high = np.maximum(edges[:-1], time_s - 0.75 * step), np.minimum(edges[1:], time_s + 0.75 * step)
+    return edges, low, high, step
 
 
 def make_bins(run: RunData, period_s: float) -> Bins:
@@ -59,10 +62,7 @@ def make_bins(run: RunData, period_s: float) -> Bins:
     Rows without a measurement leave a gap; a group never spans one.
     """
     time_s, power = run.time_s, run.measured_w
-    edges, step = _row_edges(time_s)
-    # the rows' own reach is shorter beside a gap
-    low = np.maximum(edges[:-1], time_s - 0.75 * step)
-    high = np.minimum(edges[1:], time_s + 0.75 * step)
+    _, low, high, step = _row_edges(time_s)
     usable = np.isfinite(power)
     if run.fresh is not None and not bool(np.all(run.fresh)):
         # a value that is first seen in row r was measured between the refresh before and r
@@ -79,9 +79,7 @@ def make_bins(run: RunData, period_s: float) -> Bins:
         return Bins(low, low, low, np.empty(0, dtype=np.intp))
     per_bin = max(1, round(period_s / step))
     breaks = np.flatnonzero(low[1:] - high[:-1] > (GAP_ROWS - 1.5) * step) + 1
-    begins: list[int] = []
-    ends: list[int] = []
-    starts: list[int] = []
+    begins, ends, starts = list[int](), list[int](), list[int]()
     for begin, end in pairwise([0, *breaks.tolist(), len(low)]):
         groups = list(range(begin, end, per_bin))
         if len(groups) > 1 and end - groups[-1] < 0.6 * per_bin:
@@ -106,27 +104,32 @@ class Rows:
 
     edges_s: Array
     """Shape (rows + 1,)."""
+    logged: NDArray[np.intp] | None = None
+    """Number of the logged row of each piece, where a row beside a gap is two: its own reach and what fills the gap."""
     together: tuple[NDArray[np.intp], Array] | None = None
-    """Of rows that were put together: the first logged row of each, and the length of every logged one [s]."""
+    """Of pieces that were put together: the first of each row, and the length of every piece [s]."""
 
     @classmethod
     def of(cls, run: RunData) -> Rows:
-        """Rows of a run; none is put together with the rows beside a gap."""
-        edges, step = _row_edges(run.time_s)
+        """Rows of a run; none is put together with what fills a gap."""
+        own, low, high, step = _row_edges(run.time_s)
+        edges = np.unique(np.concatenate([own, low, high]))
+        length = np.diff(edges)
+        logged = None if len(edges) == len(own) else np.searchsorted(own, edges[:-1], side="right") - 1
         if step >= 0.99 * FINEST_STEP_S:
-            return cls(edges)
-        logged = np.diff(edges)
+            return cls(edges, logged)
         cell = np.floor((edges[:-1] - edges[0]) / FINEST_STEP_S + 1e-6)
-        apart = logged > GAP_ROWS * step
+        apart = length > 2.0 * step
         starts = np.flatnonzero(np.append(True, (np.diff(cell) > 0.0) | apart[1:] | apart[:-1]))
-        return cls(np.append(edges[starts], edges[-1]), (starts, logged))
+        return cls(np.append(edges[starts], edges[-1]), logged, (starts, length))
 
     def on(self, values: Array) -> Array:
         """Columns (k, logged rows) as means over these rows, which keep their integral."""
+        pieces = values if self.logged is None else values.take(self.logged, axis=1)
         if self.together is None:
-            return values
-        starts, logged_s = self.together
-        return np.asarray(np.add.reduceat(values * logged_s, starts, axis=1) / np.diff(self.edges_s))
+            return pieces
+        starts, length = self.together
+        return np.asarray(np.add.reduceat(pieces * length, starts, axis=1) / np.diff(self.edges_s))
 
 
 @dataclass
@@ -284,12 +287,9 @@ class Intervals:
         if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers
             raise ValueError("the clock of the meter comes out as no number")
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
-        at_s = (self.edges_s - delay_s[self.run]) - nodes[:, :1] * lag_s
-        np.maximum(at_s, self.rows_s[self.first], out=at_s)
-        np.minimum(at_s, self.rows_s[self.last], out=at_s)
-        left = np.searchsorted(self.rows_s, at_s, side="right") - 1
-        np.maximum(left, self.first, out=left)
-        np.minimum(left, self.last - 1, out=left)
+        late_s = (self.edges_s - delay_s[self.run]) - nodes[:, :1] * lag_s
+        at_s = np.clip(late_s, self.rows_s[self.first], self.rows_s[self.last])
+        left = np.clip(np.searchsorted(self.rows_s, at_s, side="right") - 1, self.first, self.last - 1)
         length = np.diff(self.rows_s).take(left)
         return left, _hermite((at_s - self.rows_s.take(left)) / length, length), at_s, nodes[:, 1]
 
