@@ -113,7 +113,8 @@ class Rows:
     def of(cls, run: RunData) -> Rows:
         """Rows of a run; none is put together with what fills a gap."""
         own, low, high, step = _row_edges(run.time_s)
-        edges = np.unique(np.concatenate([own, low, high]))
+        far = np.diff(own) > 2.0 * step
+        edges = np.unique(np.concatenate([own, low[far], high[far]]))
         length = np.diff(edges)
         logged = None if len(edges) == len(own) else np.searchsorted(own, edges[:-1], side="right") - 1
         if step >= 0.99 * FINEST_STEP_S:
@@ -150,8 +151,8 @@ class RunColumns:
 def integral_curves(columns: Sequence[Array], rows: Sequence[Rows]) -> Array:
     """Cumulative integral of columns of each run as a cubic inside each row, runs one after the other.
 
-    Its slope at a row's edge is the value that a straight line between the neighbours' middles has there, limited so
-    that the cubic stays monotone; a linear ramp between rows is thereby reproduced although each row holds its mean.
+    Its slope at a row's edge, half-way between two rows' times, is the mean of both, limited so that the cubic stays
+    monotone; a linear ramp between rows is thereby reproduced although each row holds its mean.
 
     Parameters
     ----------
@@ -176,9 +177,8 @@ def integral_curves(columns: Sequence[Array], rows: Sequence[Rows]) -> Array:
         left, right = means[:-1], means[1:]
         slope[0], slope[-1] = means[0], means[-1]
         # in place: no arrays are larger than these
-        inner = np.subtract(right, left, out=slope[1:-1])
-        inner *= (length[:-1] / (length[:-1] + length[1:]))[:, None]
-        inner += left
+        inner = np.add(left, right, out=slope[1:-1])
+        inner *= 0.5
         size = np.abs(means)
         limit = np.minimum(size[:-1], size[1:])
         limit *= 3.0
