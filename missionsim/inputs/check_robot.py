@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
-
-import numpy as np
 
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.inputs.checker import Checker
-from missionsim.inputs.robot import LawSpec, RobotSpec, SchemeSpec
+from missionsim.inputs.robot import RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Where
 from missionsim.inputs.units import same_dimension
 from missionsim.inputs.values import Parameter
@@ -65,7 +62,6 @@ def _components(check: Checker, robot: RobotSpec) -> None:
             if law is not None and law.power is not None:
                 own = [*law.parameters, *(["rate"] if law.rate is not None else [])]
                 check.formulas({(*at, "law", "power"): law.power}, own)
-                _not_negative(check, (*at, "law", "power"), law)
             elif law is not None and law.model is not None:
                 from missionsim.effects.named_models import law_models
 
@@ -84,16 +80,6 @@ def _components(check: Checker, robot: RobotSpec) -> None:
         check.add(at, message, " → ".join(circle), "requirements without a circle")
         for name in (knot := circle[1:]):  # with all that they lead to, where each further circle is the same mistake
             knot += needs.pop(name, ())
-
-
-def _not_negative(check: Checker, where: Where, law: LawSpec) -> None:
-    """A law that reads nothing but its own numbers draws a constant power, which is none below nought."""
-    given = {name: np.float64(number.value) for name, number in law.parameters.items()}
-    given |= {} if law.rate is None else {"rate": np.float64(law.rate.value)}
-    with contextlib.suppress(InputError), np.errstate(all="ignore"):  # told before
-        expression = compile_expression(str(law.power))
-        if expression.names <= given.keys() and (watts := float(np.asarray(expression.evaluate(given)))) < 0.0:
-            check.add(where, "negative power", f"{watts:g} W", "at least 0 W")
 
 
 def _circle(needs: Mapping[str, list[str]]) -> list[str]:

@@ -212,14 +212,6 @@ def test_a_knot_of_components_that_require_each_other_is_one_fault(folder: Path)
     ]
 
 
-def test_a_law_whose_constant_power_is_negative(folder: Path) -> None:
-    load = "{battery: main, law: {power: k*rate, rate: 10 Hz, parameters: {k: 20 mW s}}}"
-    change("robot", "{battery: main, power: 2 W}", load)
-    assert heads("robot.yaml") == []
-    change("robot", "k: 20 mW s", "k: -20 mW s")
-    assert heads("robot.yaml") == ["robot.yaml:7:48: error: negative power"]
-
-
 def test_what_hangs_on_a_faulty_block_is_no_fault_of_its_own(folder: Path) -> None:
     change("robot", "batteries: {main: {capacity: 10 Wh}}", "batteries: null")
     assert heads("robot.yaml") == ["robot.yaml:4:12: error: must be a mapping"]
