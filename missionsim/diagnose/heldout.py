@@ -205,7 +205,7 @@ class Models:
             told = self.told(effects, fitted)
             asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
             nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
-            # levels of a label may differ and sum to nothing
+            # levels of a label may differ and sum to nothing, and what hides behind the base may be needed all the same
             nothing = [one for one in nothing if not self._needed(one, told)]
             if len(self.runs) == 1:
                 nothing += [one for one in told if not self._needed(one, told, 0.0)]

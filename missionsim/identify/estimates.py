@@ -170,10 +170,9 @@ def pairs(model: Model) -> Alike:
         rest = [k for k in model.chosen if k != a]
         r, lead = imitated(gram, constraints, rest, a, float(value))
         row = out.setdefault(constraints.of_column(a).effect, {})
-        others = [b for b in np.flatnonzero(np.isfinite(r)).tolist() if constraints.effect[b] != constraints.effect[a]]
-        for b in sorted(
-            (b for b in others if b not in rest), key=lambda b: abs(r[b])
-        ):  # of an effect the likest column
+        there = [b for b in np.flatnonzero(np.isfinite(r)).tolist() if b not in rest]
+        others = [b for b in there if constraints.effect[b] != constraints.effect[a]]
+        for b in sorted(others, key=lambda b: abs(r[b])):  # of an effect the likest column comes last and stays
             row[constraints.of_column(b).effect] = float(r[b]), lead * float(1.0 - min(1.0, r[b] ** 2))
     return out
 

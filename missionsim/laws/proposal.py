@@ -68,12 +68,13 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposal
     skip = {*repeated(ground.covariates), *_own_meter(ground)}
     grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
     plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
-    if late is None or plain is None:
+    if late is None:
+        return plain and plain[0]
+    if plain is None:
         # the wider search may end with a form that remembers nothing, where what leads the narrower one fails
-        first = None if late is None else late[0].first
-        at_once = first is not None and "lag(" not in first.formula and not CLOCKS & {*first.variables}
-        one = late if late is not None and (at_once or late[0].far_better) else plain
-        return one and one[0]
+        made = late[0]
+        at_once = "lag(" not in made.first.formula and not CLOCKS & {*made.first.variables}
+        return made if at_once or made.far_better else None
     # whatever is slow looks like a lag, so that it must be far better; how left-out runs are predicted rests on the
     # noise that a fit ends with, so that both are compared at the same
     error, other = (
@@ -151,10 +152,12 @@ def _propose(
         search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
         told = all(seen.passed.values())
-    # what has the column of a refused effect is that effect; one whose form is in doubt may have this one, and
-    # watts of one of several like loads come with a factor that no converter has
-    twin = _twin(fitted, search.ground, found)
-    if not told or (twin not in ("", *found.demoted) and not twin.startswith(f"{LOGGED}:")):
+    if told:
+        # what has the column of a refused effect is that effect; one whose form is in doubt may have this one, and
+        # watts of one of several like loads come with a factor that no converter has
+        twin = _twin(fitted, search.ground, found)
+        told = twin in ("", *found.demoted) or twin.startswith(f"{LOGGED}:")
+    if not told:
         # what leads and fails may hide what holds
         lead = {*search.grammar.variables(near[0].form)} - {"speed_m_s"}
         rest = grammar.without(lead) if once_more and lead else None

@@ -25,6 +25,7 @@ from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map
 from missionsim.labels import Labels
 from missionsim.logs import read_logs
+from missionsim.runs.error import Errors, RunError
 from missionsim.runs.run import Run
 
 ROOT = Path(__file__).parents[2]
@@ -155,11 +156,12 @@ def least_squares(train: Sequence[Drive], heldout: Sequence[Drive]) -> tuple[flo
     """Held-out power RMSE [W] and mean energy error [%] with the terms that are there."""
     x, y = np.vstack([regressors(one) for one in train]), np.concatenate([one.power for one in train])
     b = np.linalg.lstsq(x, y, rcond=None)[0]
-    left = [regressors(one) @ b - one.power for one in heldout]
-    seconds = [np.gradient(one.columns["time_s"]) for one in heldout]
-    square = sum(float(e**2 @ dt) for e, dt in zip(left, seconds, strict=True)) / sum(float(dt.sum()) for dt in seconds)
-    energy = [abs(e @ dt) / abs(one.power @ dt) for e, dt, one in zip(left, seconds, heldout, strict=True)]
-    return float(np.sqrt(square)), 100.0 * float(np.mean(energy))
+    told = []
+    for one in heldout:
+        seconds = np.gradient(one.columns["time_s"])
+        told.append(RunError.of(one.name, one.power, regressors(one) @ b, seconds))
+    made = Errors(tuple(told))
+    return made.power_rmse_w, made.run_energy_error_pct
 
 
 def write(drives: Sequence[Drive], folder: Path) -> None:
