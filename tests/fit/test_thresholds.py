@@ -18,6 +18,7 @@ from missionsim.fit.parameters import FittedParameter
 from missionsim.fit.provenance import sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.settings import Settings
+from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
@@ -145,3 +146,24 @@ def test_power_at_rest_needs_some_seconds_of_it(rest_s: int, standing: bool) -> 
     moving = replace(log, columns={**log.columns, "speed_m_s": speed, "yaw_rate_rad_s": np.zeros(120)})
     made = calibrate_new(NewRobot("own", "c3*v + c4"), [drawing(moving, 5.0 + 10.0 * speed)])
     assert ("standing" in made.fit.parameters) is standing
+
+
+@pytest.mark.parametrize(("most", "fits"), [(119, 1), (120, 2)])
+def test_rows_as_logged_are_tried_of_logs_that_are_not_too_long(
+    monkeypatch: pytest.MonkeyPatch, most: int, fits: int
+) -> None:
+    """Where an effect follows acceleration, which may act otherwise in a jolt than over a longer mean."""
+    effect = "effects:\n  - {effect: acceleration, battery: robot, parameters: {k: 1}}\n"
+    model = build_power_model(robot_from_text(robot_text("pioneer3dx") + effect))
+    logs, periods, fit = [drive(i, seconds=60.0) for i in range(2)], [], final._fit
+
+    def counted(*given: object) -> object:
+        periods.append(given[4].period_s)
+        return fit(*given)
+
+    assert sum(log.rows for log in logs) == 120
+    monkeypatch.setattr(final, "MOST_ROWS", most)
+    monkeypatch.setattr(final, "_fit", counted)
+    final.final_fit(model, logs, "robot", {}, Clock.as_logged(2), replace(Settings(), period_s=4.0))
+    assert len(periods) == fits
+    assert periods[0] == 4.0
