@@ -242,7 +242,7 @@ class ErrorCurve(NamedTuple):
 
     def percent(self, relative_to: str = "predicted") -> Array:
         """What the plan is short of, in % of the ``predicted`` or the ``measured`` energy."""
-        return -error.error_curve(self.measured_wh, self.predicted_wh, relative_to)
+        return -error.error_curve(self.measured_wh, self.predicted_wh, relative_to, begins=0.0)  # as printed
 
     def statistics(self, relative_to: str = "predicted") -> dict[str, float]:
         """Peak, final value, mean and standard deviation over the samples, %."""

@@ -20,7 +20,8 @@ from missionsim.runs.drive import drive
 from missionsim.runs.run import Run
 
 FIRST_PROGRESS = 0.01
-"""Progress at which the error curve begins: before it a few joules stand above and below the fraction bar."""
+"""Part of the time and of the energy of a run at which the error curve begins: before it a few joules stand above and
+below the fraction bar, and a robot that stands at first errs by any number of per cent."""
 PROGRESS_POINTS = 397
 _SUMS = ("seconds", "measured_j", "model_j", "square_w2s")
 
@@ -151,13 +152,14 @@ def cumulative_at(progress: Array, energy: Array, grid: Array) -> Array:
     return np.asarray(total, dtype=np.float64)
 
 
-def error_curve(measured: Array, predicted: Array, relative_to: str = "measured") -> Array:
+def error_curve(
+    measured: Array, predicted: Array, relative_to: str = "measured", begins: float = FIRST_PROGRESS
+) -> Array:
     """Relative error ``100 (predicted − measured) / reference`` of two cumulative energies [%], shape (n,). NaN where
-    the reference is not positive."""
+    the reference is not positive, or below the part `begins` of what it is at the end."""
     reference = measured if relative_to == "measured" else predicted
-    positive = reference > 0.0
-    safe = np.where(positive, reference, 1.0)
-    return np.asarray(np.where(positive, 100.0 * (predicted - measured) / safe, np.nan))
+    known = (reference > 0.0) & (reference >= begins * reference[-1])
+    return np.asarray(np.where(known, 100.0 * (predicted - measured) / np.where(known, reference, 1.0), np.nan))
 
 
 def error_statistics(curve: Array, relative_to: str = "measured") -> ErrorStatistics:
