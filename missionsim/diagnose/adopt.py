@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from missionsim.diagnose.diagnosis import Named, judged
 from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.heldout import Models
-from missionsim.diagnose.proposed import as_finding, formula_of, with_candidate, with_law
+from missionsim.diagnose.proposed import formula_of, of_form, with_candidate, with_law
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
@@ -275,8 +275,7 @@ def _law_of(named: Named, asked: str) -> tuple[Finding | None, str]:
         for form in law.laws:
             if form.formula == formula:
                 others = tuple(one.formula for one in law.laws if one.variables != form.variables) if law.open else ()
-                made = as_finding(replace(law, laws=(form,), energy_share=form.energy_share))
-                return replace(made, indistinguishable_from=others), formula
+                return replace(of_form(law, form), indistinguishable_from=others), formula
     return None, formula
 
 

@@ -16,7 +16,7 @@ from missionsim.diagnose.experiments import Bench, next_experiments
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
-from missionsim.diagnose.proposed import as_finding, proposed_laws, with_law
+from missionsim.diagnose.proposed import as_finding, as_written, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.waterfall import noted
 from missionsim.errors import InputError
@@ -27,6 +27,7 @@ from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, H
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import ALPHA, Settings
 from missionsim.identify.verdict import decide
+from missionsim.laws.proposal import propose
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
@@ -271,7 +272,8 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     proposed: tuple[Proposal, ...] = ()
     if laws and found.factor is None:
-        proposed = proposed_laws(found, features.covariates, models, held)
+        made = propose(found, features.covariates)
+        proposed = () if made is None else (made,)
         if features.unlogged:
             # loads that nobody logged look like a law of time, temperature or processor load, never like one of motion
             reads = [{name for form in law.laws for name in form.variables} for law in proposed]
@@ -283,12 +285,15 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     stood_in = {name for law in proposed for name in law.instead_of}
     effects = tuple(effect for effect in found.effects if effect.effect not in stood_in)
     if found.choice.forward is not None and effects and proposed:
-        made = as_finding(proposed[0])
-        effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
+        law = as_finding(proposed[0])
+        effects = with_law(models, law.effect, law.effect).needed_beside(law, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
     effects = models.leaning(effects, fitted)
+    proposed = tuple(as_written(law, models, effects, held) for law in proposed)
+    if any(law.first.low <= 0.0 <= law.first.high for law in proposed):  # nothing beside the base, once both are fitted
+        return judged(seen, settings, laws=False)
     told = {effect.effect for effect in effects}
     candidates = []
     for one in found.candidates:

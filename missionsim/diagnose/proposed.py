@@ -9,15 +9,12 @@ from dataclasses import replace
 from missionsim.diagnose.heldout import Models
 from missionsim.effects.base import ParameterSpec
 from missionsim.effects.base_terms import expression_term
-from missionsim.effects.covariates import Covariates
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding
-from missionsim.identify.identification import Identification
-from missionsim.identify.proposed import Proposal
+from missionsim.identify.proposed import Law, Proposal
 from missionsim.laws.grammar import unit_of
-from missionsim.laws.proposal import propose
 from missionsim.runs.run import Run
 
 _SHORT = {
@@ -37,25 +34,30 @@ _OF_DRIVE = frozenset({"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_spe
 PROPOSED = "proposed: no effect of the library fits"
 
 
-def proposed_laws(
-    found: Identification, covariates: Sequence[Covariates], models: Models | None = None, heldout: Sequence[Run] = ()
-) -> tuple[Proposal, ...]:
-    """The proposal, if any form passes every gate, with its errors on held-out runs.
+def as_written(law: Proposal, models: Models, effects: Sequence[Finding], heldout: Sequence[Run]) -> Proposal:
+    """A proposal with the numbers that `add-effect` and `improve` write: those of each form fitted beside the effects
+    that were named; and its errors on runs that nothing was fitted to.
 
-    `covariates`: of the fitted runs, at the raw rate; `models`: models fitted to these runs, for the errors on others;
-    `heldout`: runs that nothing was fitted to.
+    The search goes by the noise of its rows and by their likelihood; what is written has the energy that was measured.
     """
-    if (made := propose(found, covariates)) is None:
-        return ()
-    if models is None or not heldout:
-        return (made,)
-    named = [e for e in found.effects if e.effect not in made.instead_of]
-    law = as_finding(made)
-    fits = (models.fit(named), with_law(models, law.effect, law.effect).fit([*named, law]))
-    before, after = (models.errors(fit.model, heldout) for fit in fits)
+    forms, fits = [], []
+    for form in law.laws:
+        one = of_form(law, form)
+        beside = with_law(models, one.effect, one.effect)
+        fits.append(beside.fit([*effects, one]))
+        *_, told = beside.told([*effects, one], fits[-1])
+        k = told.parameters["k"]
+        forms.append(replace(form, k=k.value, low=k.low, high=k.high, energy_share=told.energy_share))
+        if len(forms) == 1:
+            share_sd = 0.5 * (told.share_high - told.share_low) / Z95
+    times = forms[0].k / law.first.k if law.first.k else 1.0
+    curve = law.curve and law.curve.times(times)
+    made = replace(law, laws=tuple(forms), curve=curve, energy_share=forms[0].energy_share, share_sd=share_sd)
+    if not heldout:
+        return made
+    before, after = (models.errors(power, heldout) for power in (models.fit(effects).model, fits[0].model))
     energy_pct = (before.run_energy_error_pct, after.run_energy_error_pct)
-    rmse_w = (before.power_rmse_w, after.power_rmse_w)
-    return (replace(made, heldout_rmse_w=rmse_w, heldout_energy_pct=energy_pct),)
+    return replace(made, heldout_rmse_w=(before.power_rmse_w, after.power_rmse_w), heldout_energy_pct=energy_pct)
 
 
 def with_law(models: Models, name: str, formula: str) -> Models:
@@ -134,6 +136,11 @@ def formula_of(proposed: Sequence[Proposal], asked: str) -> str:
             allowed=", ".join(f"{i}: {law.formula}" for i, law in enumerate(forms, 1)) or "none: nothing is proposed",
         )
     return forms[number - 1].formula
+
+
+def of_form(law: Proposal, form: Law) -> Finding:
+    """One form of a proposal as a finding."""
+    return as_finding(replace(law, laws=(form,), energy_share=form.energy_share))
 
 
 def as_finding(law: Proposal) -> Finding:

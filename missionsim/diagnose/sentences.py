@@ -253,7 +253,7 @@ def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) ->
         options = f"--battery {battery.battery} {options}"
     if worse(battery):
         return ""
-    if len(told) > 1:  # one of them alone leaves the others' power to the base
+    if told and len(told) + (law is not None and not law.open) > 1:  # one alone leaves the others' power to the base
         command = f"improve --robot {robot} {options}"
     elif told:
         command = f"add-effect --robot {robot} --effect {shlex.quote(told[0].effect)} {options}"

@@ -120,7 +120,11 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         told = [f"{name} {by.replace('-', '−')}" for name, by in shifted]
         lines += [("BASE", f"{said}: {', '.join(told)}")] if told else []
     tested = [held for held in (battery.heldout, battery.shifted) if held is not None]
-    lines += [("HELD-OUT", heldout_line(held, bool(battery.effects))) for held in tested]
+    first = next(iter(battery.proposed_laws), None)
+    lines += [
+        ("HELD-OUT", heldout_line(held, bool(battery.effects), first if held is battery.heldout else None))
+        for held in tested
+    ]
     if battery.heldout is None:
         count = f"{len(battery.runs)} run{'s' * (len(battery.runs) != 1)}"
         told_not = f"nothing held out ({count}): how the model does on runs that were not used is not shown"
@@ -188,7 +192,7 @@ def _law_lines(law: Proposal, parts: str) -> list[str]:
     lines = []
     for number, one in enumerate(law.laws, 1):
         behind = "" if one.behind_nats < 0.05 else f"; {one.behind_nats:.0f} nats behind"
-        k = f"k = {bare(one.k, 3)}{_unit(one.unit)} (95 % {bare(one.low, 3)} to {bare(one.high, 3)})"
+        k = f"k = {bare(one.k)}{_unit(one.unit)} (95 % {bare(one.low)} to {bare(one.high)})"
         lines.append(f"{number}: {one.formula}, {k}{behind}")
     before, after = law.left_out_rmse_w
     rests = f"rise of {law.rise_nats:.0f} nats where {law.penalty_nats + 6:.0f} are asked, of {law.tried:,} forms"
@@ -210,17 +214,19 @@ def next_line(experiment: Experiment) -> str:
     )
 
 
-def heldout_line(heldout: HeldOut, found: bool = True) -> str:
-    """Errors on held-out runs; with `found`, those with the effects as well."""
-    e, p = heldout.energy_error_pct, heldout.power_rmse_w
+def heldout_line(heldout: HeldOut, found: bool = True, law: Proposal | None = None) -> str:
+    """Errors on held-out runs; with `found`, those with the effects as well, and those with a law that is proposed."""
     kind = "other conditions" if heldout.shifted else "same kind"
-    energy = f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} → {e['recalibrated']:.2f}"
-    rmse = f"power RMSE {rounded(p['nominal'])} → {rounded(p['recalibrated'])}"
+    energies, powers = [*heldout.energy_error_pct.values()], [*heldout.power_rmse_w.values()]
+    of = ["", " (recalibrated)", " (with the effects)"]
     if not found:
-        return f"{energy} % (recalibrated); {rmse} W"
-    return (
-        f"{energy} (recalibrated) → {e['with_effects']:.2f} % (with the effects); {rmse} → {watts(p['with_effects'])}"
-    )
+        del energies[2:], powers[2:], of[2:]
+    if law is not None and law.heldout_energy_pct is not None and law.heldout_rmse_w is not None:
+        energies.append(law.heldout_energy_pct[1])
+        powers.append(law.heldout_rmse_w[1])
+        of.append(" (with the law as well)" if found else " (with the law)")
+    energy = " → ".join(f"{pct:.2f}{' %' * (at == len(of) - 1)}{of[at]}" for at, pct in enumerate(energies))
+    return f"{heldout.how} ({kind}): energy error {energy}; power RMSE {' → '.join(map(rounded, powers))} W"
 
 
 def _execution(effect: Finding) -> str:

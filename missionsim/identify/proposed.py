@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import ClassVar
 
 from missionsim.files import Json
@@ -100,6 +100,11 @@ class Curve(Record):
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Range in the logs of each other quantity that has one."""
     untold: ClassVar[tuple[str, ...]] = ("spans",)
+
+    def times(self, factor: float) -> Curve:
+        """The curve of laws whose coefficients are all greater by a factor."""
+        watts, low, high = (tuple(factor * w for w in values) for values in (self.watts, self.low, self.high))
+        return replace(self, watts=watts, low=low, high=high)
 
 
 @dataclass(frozen=True)

@@ -236,6 +236,10 @@ def _details(battery: BatteryDiagnosis) -> list[web.Block]:
             if held is not None
             for kind, text in models.items()
         ]
+        for law in battery.proposed_laws[:1]:
+            if law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
+                of_law = f"{law.heldout_energy_pct[1]:.2f}", rounded(law.heldout_rmse_w[1])
+                rows.insert(len(models), [battery.heldout.how, "with the law as well", *of_law])
         columns = ["held-out runs", "model", "energy error, %", "power error (RMS), W"]
         blocks.append(web.Table(columns, rows, "Errors on runs that were not used to fit", 3))
     if battery.remarks:

@@ -134,13 +134,14 @@ def test_the_clock_seen_beside_what_was_added(seen: tuple[float, float], taken_s
 def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_tried(
     monkeypatch: pytest.MonkeyPatch, tried: tuple[str, ...], laws: int
 ) -> None:
-    law = SimpleNamespace(far_better=False, instead_of=("grade",))
+    law = SimpleNamespace(far_better=False, instead_of=("grade",), first=SimpleNamespace(low=1.0, high=2.0))
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(
         of_all_braking=tuple, certain=lambda effects, *_: (effects, None), leaning=lambda effects, _: effects
     )
-    monkeypatch.setattr(diagnosis, "proposed_laws", lambda *_: (law,))
+    monkeypatch.setattr(diagnosis, "propose", lambda *_: law)
+    monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: law)
     seen = SimpleNamespace(features=features, found=found, models=models, held=())
     _, _, proposed, _ = diagnosis.judged(seen, Settings(), True, tried)  # type: ignore[arg-type]
     assert len(proposed) == laws

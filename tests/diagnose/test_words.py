@@ -262,6 +262,13 @@ def test_errors_with_the_effects_and_with_a_law_beside_them_are_told_apart() -> 
     told = sentences.errors(replace(BATTERY, proposed_laws=(law,)))
     assert "is 1.20 W with grade, 0.900 W with the law as well (energy 4.60 → 1.20 → 1.10 %)" in told
     assert "is 1.20 W with it (energy 4.60 → 1.20 %)" in sentences.errors(BATTERY)
+    assert BATTERY.heldout is not None
+    line = words.heldout_line(BATTERY.heldout, law=law)  # type: ignore[arg-type]
+    assert line.endswith(
+        "→ 1.20 (with the effects) → 1.10 % (with the law as well); power RMSE 4.60 → 2.70 → 1.20 → 0.900 W"
+    )
+    alone = words.heldout_line(BATTERY.heldout, False, law)  # type: ignore[arg-type]
+    assert alone.endswith("(recalibrated) → 1.10 % (with the law); power RMSE 4.60 → 2.70 → 0.900 W")
 
 
 def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
@@ -279,6 +286,10 @@ def test_several_effects_go_in_together_and_options_stay() -> None:
     beside = replace(BATTERY, effects=(GRADE, replace(GRADE, effect="acceleration")))
     told = "missionsim improve --robot own.yaml --battery robot --holdout later logs --out own_better.yaml"
     assert sentences.next_step(beside, asked, several=True) == told
+    law = SimpleNamespace(open=False)
+    assert "improve" in sentences.next_step(replace(BATTERY, proposed_laws=(law,)), asked)
+    law.open = True  # which is not added
+    assert "add-effect" in sentences.next_step(replace(BATTERY, proposed_laws=(law,)), asked)
 
 
 def test_a_battery_is_named_where_there_are_several() -> None:

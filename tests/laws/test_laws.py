@@ -161,13 +161,16 @@ def test_add_effect_and_improve_write_the_law_that_is_proposed_and_run_uses_it(
     made = json.loads(told.read_text(encoding="utf-8"))
     k = made["parameters"]["k"]
     assert k["low"] < k["value"] < k["high"]
-    assert k["unit"] == unit_of(formula)
+    # the number that diagnose told, with its interval: it was another, of the search
+    assert k == pytest.approx(report["proposed_laws"][0]["forms"][0]["parameters"]["k"])
+    assert made["energy_share"] == pytest.approx(report["proposed_laws"][0]["energy_share"])
     errors = []
-    for file in ("pioneer3dx", str(robot)):
+    for file in ("pioneer3dx", str(robot), str(improved)):
         out = tmp_path / "compare.json"
         assert main(["compare", "--robot", file, str(heldout), "--json", str(out), "--quiet"]) == 0
         errors.append(json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]["power_rmse_w"])
     assert errors[1] < 0.6 * errors[0]
+    assert errors[2] == pytest.approx(report["proposed_laws"][0]["heldout_rmse_w"]["after"], rel=1e-4)
     mission = root / "missions" / "pioneer3dx" / "valve_patrol.yaml"
     result = tmp_path / "run.json"
     assert main(["run", str(mission), "--robot", str(robot), "--json", str(result), "--quiet"]) in (0, 1)
