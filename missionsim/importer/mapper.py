@@ -43,6 +43,12 @@ class Mapper(Checker):
             for name, column in spec.columns.items()
         }
         self.keep = self._compile(spec.keep, ("keep",), known) if spec.keep is not None else None
+        for key, names, taken in (
+            ("constants", spec.constants, {*offered}),
+            ("let", spec.let, {*offered, *spec.constants, *spec.columns}),
+        ):
+            for name in taken.intersection(names):
+                self._fault((key, name), f"'{name}' stands for something else already", name, "a name of its own")
         self._check_names(("refresh",), spec.refresh, [*offered, *spec.let])
         self._check_names(("runs", "by"), spec.runs.by, offered)
         for name, column in spec.columns.items():

@@ -240,6 +240,9 @@ def _parts(
         return found.topics, "utc", found.remarks
     assert reader.table is not None
     raw = reader.table(path, Options(header=spec.table.header, delimiter=spec.table.delimiter))
+    if not file.time:
+        allowed = f"time: one of {', '.join(raw.names or raw.columns)}, or [date, time]"
+        raise InputError(spec.document.fault(("files", alias), "the column of its time is missing", allowed=allowed))
     chosen = [column_name(name, raw.names) for name in file.time]
     if None in chosen:
         missing = file.time[chosen.index(None)]

@@ -259,6 +259,10 @@ def test_wrong_units(unit: str, name: str) -> None:
         (("(v_left + v_right) / 2", "mode"), "this column holds text, not numbers", 9),
         (("signals:", "refresh: nothing\nsignals:"), "'nothing' is not a column of the source", 2),
         (("signals:", "runs: {by: [nothing]}\nsignals:"), "'nothing' is not a column of the source", 2),
+        # a source column of the same name would come first, unseen; beside `columns` the column would be missing
+        (("{v_left: wl * radius,", "{wl: 2 * wl, v_left: wl * radius,"), "'wl' stands for something else already", 4),
+        (("{radius: 30 cm}", "{radius: 30 cm, volt: 1}"), "'volt' stands for something else already", 3),
+        (("{v_left: wl * radius,", "{speed_m_s: wl, v_left: wl * radius,"), "'speed_m_s' stands for something else", 4),
         (("signals:", "keep: speed_m_s > 99\nsignals:"), "no run is left after 'keep' and 'runs'", 0),
     ],
 )

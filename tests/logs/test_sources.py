@@ -189,6 +189,8 @@ def test_files_that_do_not_belong_together(tmp_path: Path) -> None:
         run(tmp_path, text.replace("time: Zeitstempel}", "time: Zeitstempel, zone: Europe/Berlin}"), tmp_path / "run")
     with pytest.raises(InputError, match=r"0 files match 'power\.csv' in run"):
         run(tmp_path, text, *files[1:])
+    with pytest.raises(InputError, match=r"m\.yaml:4:\d+: error: the column of its time is missing"):
+        run(tmp_path, text.replace("odometry.csv, time: stamp", "odometry.csv"), *files)
     files[1].write_text("stamp,v_x [m/s]\n" + "".join(f"{i},0.5\n" for i in range(100)))
     with pytest.raises(InputError, match="no clock in common"):
         run(tmp_path, text, *files)
