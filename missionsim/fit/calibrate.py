@@ -141,6 +141,8 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
             "they count twice now and the intervals are too narrow; refit the file as it was before"
         )
     editing = edit.Editing(edit.robot_text(robot)).set_values(updates)
+    for fit in fits:
+        editing.set_meter(fit.battery, fit.model.meter(fit.battery))
     written = build_power_model(robot_from_text(editing.text))
     # what has no place in the file does not move: the errors are those of the file
     owns = [[log for log in logs if fit.battery in log.power_w] for fit in fits]
@@ -162,6 +164,8 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
         For a formula that cannot be read, that names columns which the logs lack, or whose parameters the logs cannot
         tell apart.
     """
+    from missionsim.inputs.edit import Editing
+
     if not any(robot.battery in log.power_w for log in logs):
         measured = sorted({name for log in logs for name in log.power_w})
         told = f"no log measures the battery '{robot.battery}'"
@@ -244,6 +248,7 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
                 why = "these logs do not tell it from zero: leave its term out of --base, or vary it more"
             remarks.append(f"{name} came out negative ({told}, 95 % {low} to {high}): {why}")
     text = _text(robot, fit.parameters, components, standing, logs, fitted_source(logs))
+    text = Editing(text).set_meter(robot.battery, fit.model.meter(robot.battery)).text
     written = _load(text)
     remarks += short_of(text, robot.battery, logs)
     after = errors_of(written, [log for log in logs if robot.battery in log.power_w], robot.battery)

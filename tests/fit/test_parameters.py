@@ -17,6 +17,7 @@ from missionsim.inputs.edit import Editing, robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
+from missionsim.runs.error import errors_of
 from tests.diagnose.logs import drawing, drive
 
 LOGS = [drive(seed, seconds=300.0) for seed in range(4)]
@@ -35,6 +36,20 @@ def test_new_robot_covers_the_truth_and_loads() -> None:
     assert any("laser was never switched" in remark for remark in made.remarks)
     assert fitted_to(robot.sources["calibration"], LOGS)
     assert not fitted_to(robot.sources["calibration"], [drive(99, seconds=60.0)])
+
+
+@pytest.mark.parametrize("anew", [True, False])
+def test_the_meter_that_was_found_is_written_so_that_the_error_told_is_that_of_the_file(anew: bool) -> None:
+    late = [drawing(log, np.roll(log.power_w["robot"], 2)) for log in (drive(seed, step_s=0.5) for seed in range(3))]
+    made = calibrate_new(NewRobot("rover", "c2*v**2 + c3*v + c4"), late) if anew else refit_robot("pioneer3dx", late)
+    fit = made.fits[0]
+    assert fit.delay_s + fit.lag_s == pytest.approx(1.0, abs=0.2)
+    written = build_power_model(robot_from_text(made.text))
+    assert written.meter("robot").delay_s == pytest.approx(fit.delay_s)
+    error = errors_of(written, late, "robot").power_rmse_w
+    assert fit.after.power_rmse_w == pytest.approx(error, rel=1e-4)
+    spread = np.std(np.concatenate([log.power_w["robot"] for log in late]))
+    assert 1.0 - (error / spread) ** 2 == pytest.approx(fit.explained, abs=0.002)
 
 
 def test_without_noise_the_answer_is_exact() -> None:
