@@ -169,8 +169,13 @@ def sure(battery: BatteryDiagnosis) -> str:
         held = battery.heldout
         if doubt := "see the runs not used" if held is not None and rises(bars_of(held))[0] else first.doubt:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
-        repeated = "repeated" in first.level
-        runs = "with whole runs as the sample it is there too" if repeated else "runs alone are too few to show it"
+        seen, alone = (
+            [e.effect for e in battery.effects if ("repeated" in e.level) is is_in] for is_in in (True, False)
+        )
+        runs = "runs alone are too few to show it"
+        if seen:
+            runs = f"with whole runs as the sample {_listed(seen) + ' shows' if alone else 'it is there'} too"
+            runs += f", {_listed(alone)} does not" if alone else ""
         of = f" ({least.effect}, the least sure)" if len(battery.effects) > 1 else ""
         return f"Sure: {odds}{of}; {runs}."
     if not battery.proposed_laws:

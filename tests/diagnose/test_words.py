@@ -116,6 +116,14 @@ def test_found() -> None:
     assert "UNTESTABLE without access_point_distance_m: radio_range" in told
 
 
+def test_that_whole_runs_show_it_is_told_of_the_effects_of_which_they_do() -> None:
+    assert sentences.sure(BATTERY).endswith("; with whole runs as the sample it is there too.")
+    scrub = replace(GRADE, effect="turning_scrub", level="identified", p_value=1e-8)
+    told = sentences.sure(replace(BATTERY, effects=(GRADE, scrub)))
+    assert told.endswith("; with whole runs as the sample grade shows too, turning_scrub does not.")
+    assert sentences.sure(replace(BATTERY, effects=(scrub,))).endswith("; runs alone are too few to show it.")
+
+
 def test_what_cannot_be_tested_stands_by_the_column_that_is_missing() -> None:
     needs = {"cpu_load": ("cpu_load",), "grade": ("slope_rad",), "cpu_frequency": ("cpu_freq_hz", "cpu_load")}
     lines = [line for heading, line in words.report(replace(BATTERY, untestable=needs)) if heading == "UNTESTABLE"]
