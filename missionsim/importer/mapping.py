@@ -16,7 +16,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
-from missionsim.importer.roles import Field
+from missionsim.importer.roles import Field, words_of
 from missionsim.importer.sources import find_sources, identifier, read_source, table_options, with_names
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
@@ -92,6 +92,10 @@ def split_at_gaps(name: str, time_s: Array, runs: RunsMap, remarks: list[Remark]
     return _numbered(name, long) if len(pieces) > 1 else [(name, piece) for piece in long]
 
 
+_RUN = re.compile(r"\b((test ?)?run|trip|session|experiment|config\w*|trial|fahrt|versuch)s?\d*\b")
+"""Words of a column that tells runs apart: no part of a word, such as that of ground."""
+
+
 def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: set[str]) -> dict[str, str]:
     """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
     Gives ``runs`` → its value as YAML; empty for one run."""
@@ -114,7 +118,7 @@ def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: se
         if (together == restarts).all():
             return {"runs": f"{{by: [{', '.join(map(identifier, changes))}]}}  # time begins anew where these change"}
         return {"runs": "{restart: true}  # time begins anew"}
-    named = [name for name in changes if re.search(r"run|trip|session|experiment|config|trial", name, re.IGNORECASE)]
+    named = [name for name in changes if _RUN.search(words_of(name)[0])]
     if named:
         return {"runs": f"{{by: [{', '.join(map(identifier, named))}]}}"}
     wide = step > max(60.0, 100 * usual)

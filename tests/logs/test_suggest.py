@@ -13,6 +13,7 @@ from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, read_log, read_logs
 from tests.logs import loggers
 from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_diagnostics_bag, write_ulog
+from tests.logs.conftest import motion
 
 
 def suggested(tmp_path: Path, *sources: Path, exit_code: int = 0, change: tuple[str, str] = ("", "")) -> list[LogTable]:
@@ -49,6 +50,19 @@ def test_several_runs_of_three_loggers(tmp_path: Path) -> None:
     assert "{run}_power.csv" in made.read_text()
     assert main(["import", str(tmp_path / "all"), "--map", str(made), "--out", str(tmp_path / "logs"), "--quiet"]) == 0
     assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == ["a.parquet", "b.parquet"]
+
+
+def test_a_speed_by_its_unit_alone_and_a_floor_in_which_the_word_run_is_hidden(tmp_path: Path) -> None:
+    columns = motion(600, 0.1)
+    head = ["Zeit [s]", "Tempo (km/h)", "Leistung [W]", "CPU-Last [%]", "Untergrund"]
+    rows = zip(columns["time_s"], 3.6 * columns["speed_m_s"], columns["power_robot_w"], strict=True)
+    cells = [[*map(str, row), str(20 + i % 60), ("gras", "beton")[i // 200 % 2]] for i, row in enumerate(rows)]
+    path = tmp_path / "fahrt.csv"
+    path.write_text("\n".join(";".join(row).replace(".", ",") for row in [head, *cells]) + "\n", encoding="utf-8-sig")
+    (log,) = suggested(tmp_path, path)
+    near(log, "speed_m_s", columns["speed_m_s"], 1e-6)
+    assert log.number("cpu_load").max() == pytest.approx(0.79)
+    assert log.columns["surface"].names == ("gras", "beton")
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
