@@ -75,13 +75,6 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, bool, Path]:
     return final, special, Path(name)
 
 
-def check_writable(*paths: str | os.PathLike[str] | None) -> None:
-    """Raise OSError for the first path that could not be written, before any is."""
-    for path in paths:
-        if path is not None:
-            _begin(path)[2].unlink(missing_ok=True)
-
-
 def fields_of(item: object, names: str) -> Json:
     """Attributes of an object, named with blanks between, as part of a JSON object."""
     return {name: getattr(item, name) for name in names.split()}

@@ -13,7 +13,7 @@ from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutPage
 from missionsim.cli.run import clock
 from missionsim.engine.outcome import RunResult
 from missionsim.errors import InputError
-from missionsim.files import check_writable, write_text
+from missionsim.files import write_text
 from missionsim.inputs.loading import load_environment, load_task
 from missionsim.inputs.task import TaskSpec
 from missionsim.numerals import in_wh
@@ -59,7 +59,6 @@ def plan(
     report
         Write an interactive page, which opens from disk, to this HTML file.
     """
-    check_writable(out, plot, report)
     if seconds is not None and not seconds > 0.0:
         raise InputError.single("--seconds must be more than nothing", got=f"{seconds:g}", allowed="such as 60")
     spec = load_task(task, changes.pairs, changes.robot)
@@ -195,7 +194,6 @@ def reach(
     plot
         Draw the map into this PNG or SVG file.
     """
-    check_writable(plot)
     if changes.robot is None:
         raise InputError.single("reach needs a robot", allowed="--robot ROBOT.yaml, or a shipped robot's name")
     if not 0.0 < probability < 1.0:

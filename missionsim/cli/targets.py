@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -135,14 +136,26 @@ def _problem(path: Path, kind: str) -> str:
         if path.is_dir():
             if kind not in ("folder", "path"):
                 return "is a folder, a file is to be written"
-            return "" if os.access(path, os.W_OK) else "is a folder that may not be written to"
+            return "" if _takes_files(path) else "is a folder that may not be written to"
         if path.exists():
             if kind == "folder":
                 return "is a file, a folder is to be written"
-            return "" if os.access(path, os.W_OK) else "is a file that may not be written"
+            if not os.access(path, os.W_OK):
+                return "is a file that may not be written"
+            if is_device(path):
+                return ""
         parent = next(part for part in path.absolute().parents if part.exists())
     except (OSError, ValueError) as error:
         return f"is no path ({getattr(error, 'strerror', None) or error})"
     if not parent.is_dir():
         return f"leads through {os.path.relpath(parent)}, which is no folder"
-    return "" if os.access(parent, os.W_OK) else "lies in a folder that may not be written to"
+    return "" if _takes_files(parent) else "lies in a folder that may not be written to"
+
+
+def _takes_files(folder: Path) -> bool:
+    """Whether a file can be made in a folder: rights do not tell it of every file system (``/proc``)."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False

@@ -444,7 +444,7 @@ def test_nothing_is_written_where_one_file_cannot_be(
     beyond = Path("/proc/map.png")
     words = ["plan", str(root / "missions/planning/inspection.yaml"), "--out", str(tmp_path / "mission.yaml")]
     assert run_command([*words, "--plot", str(beyond), "--quiet"]) != 0
-    assert f"{beyond}: error:" in capsys.readouterr().err
+    assert f"--plot lies in a folder that may not be written to\n    got: '{beyond}'" in capsys.readouterr().err
     assert not (tmp_path / "mission.yaml").exists()
 
 

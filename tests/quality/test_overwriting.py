@@ -75,6 +75,16 @@ def contents(folder: Path) -> dict[Path, bytes]:
         ("compare --robot bot.yaml logs --json x --out x", "--out and --json are the same path"),
         ("diagnose --robot bot.yaml logs --json logs/r2.csv", "--json would overwrite an input of this command, which"),
         ("diagnose --robot bot.yaml logs/r1.csv --holdout logs/r2.csv --json folder/r2.csv", "--json would overwrite"),
+        # where root has every right and no file can be made: told before a page is written
+        (
+            "compare --robot bot.yaml logs --report x.html --json /proc/x.json",
+            "--json lies in a folder that may not be",
+        ),
+        (
+            "calibrate logs --new x --base k*v --out new.yaml --json /proc/new/x.json",
+            "--json lies in a folder that may",
+        ),
+        ("run errand.yaml --json x.json --out /proc", "--out is a folder that may not be written to"),
         ("calibrate logs --new x --base k*v --out logs/r1.csv", "--out is a robot file"),
         ("calibrate logs --new x --base k*v --out new.yml.txt", "--out is a robot file"),
         ("calibrate logs --robot bot.yaml --out bot.yaml", "--out would overwrite an input"),
