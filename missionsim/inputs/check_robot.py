@@ -60,7 +60,7 @@ def _components(check: Checker, robot: RobotSpec) -> None:
                     message = f"link '{load.through}' is fed by another battery"
                     check.add((*at, "battery"), message, load.battery, link.battery)
             if law is not None and law.power is not None:
-                own = [*law.parameters, *(["rate"] if law.rate is not None else [])]
+                own = {**law.parameters, **({"rate": law.rate} if law.rate is not None else {})}
                 check.formulas({(*at, "law", "power"): law.power}, own)
             elif law is not None and law.model is not None:
                 from missionsim.effects.named_models import law_models

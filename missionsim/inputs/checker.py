@@ -82,14 +82,17 @@ class Checker:
         self.add(where, f"control scheme '{scheme}' stands still", got, moves, key=key)
 
     def formulas(
-        self, texts: Mapping[Where, str], own: Iterable[str], times: Mapping[str, Parameter] | None = None
+        self, texts: Mapping[Where, str], own: Mapping[str, Parameter], times: Mapping[str, Parameter] | None = None
     ) -> None:
-        """Formulas, by their paths, that can be read, name what there is and together use all their parameters. Names
-        of further log columns are allowed; one that is nearly a known name gets a warning.
+        """Formulas of a power, by their paths, that can be read, give watts as far as units tell, name what there is
+        and together use all their parameters. Names of further log columns are allowed; one that is nearly a known name
+        gets a warning.
 
-        `times`: parameters that may be time constants of lags; no lag is allowed where there can be none.
+        `own`: their parameters; `times`: those that may be time constants of lags; no lag is allowed where there can be
+        none.
         """
         from missionsim.effects.base_terms import ALIASES
+        from missionsim.inputs.dimensions import dimension_fault
 
         parameters = list(own)
         known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
@@ -102,6 +105,8 @@ class Checker:
                 return
             self.faults += [fault for lag in expression.lags for fault in _lag_faults(lag, times)]
             used |= expression.names
+            if wrong := dimension_fault(text, {name: parameter.unit for name, parameter in own.items()}):
+                self.add(where, wrong, text[:80], "a power in W, of terms that can be added")
             for name in sorted(expression.names):
                 if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
                     continue

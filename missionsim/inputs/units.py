@@ -118,7 +118,7 @@ def si_factor(unit: str) -> float | None:
     if unit in _OF:
         return _SIMPLE[unit][0]
     try:
-        return None if _exponents(unit) == _exponents("K") else any_unit(unit)[0]
+        return None if exponents(unit) == exponents("K") else any_unit(unit)[0]
     except UnitError:
         return None
 
@@ -145,7 +145,7 @@ def any_unit(unit: str) -> tuple[float, str]:
     # W min/m is W s/m rather than kg m/s^2, where SI units of the table in place of its own say the same
     plain = _WORD.sub(lambda match: _in_si(match[0]), unit)
     same = plain != unit and math.isclose(float(_pint_unit(plain, "", ()).to_base_units().magnitude), 1.0)
-    return size, plain if same else "W" if _exponents(unit) == _exponents("W") else f"{base.units:~}" or "1"
+    return size, plain if same else "W" if exponents(unit) == exponents("W") else f"{base.units:~}" or "1"
 
 
 def _in_si(name: str) -> str:
@@ -158,11 +158,11 @@ def same_dimension(unit: str, other: str) -> bool:
     cannot be read here counts as the same: reading the number has told that fault already."""
     if unit == other:
         return True
-    first, second = _exponents(unit), _exponents(other)
+    first, second = exponents(unit), exponents(other)
     return first is None or second is None or first == second
 
 
-def _exponents(unit: str) -> tuple[int, ...] | None:
+def exponents(unit: str) -> tuple[float, ...] | None:
     """Exponents of m, kg, s, A, K; None for a unit that neither the table nor pint knows."""
     known = _product(unit)
     if known is not None:
@@ -172,7 +172,7 @@ def _exponents(unit: str) -> tuple[int, ...] | None:
     except UnitError:
         return None
     axes = ("[length]", "[mass]", "[time]", "[current]", "[temperature]")
-    return tuple(round(float(found.get(axis, 0))) for axis in axes)
+    return tuple(round(float(found.get(axis, 0)), 6) for axis in axes)
 
 
 def _product(unit: str) -> tuple[float | None, tuple[int, ...]] | None:

@@ -10,6 +10,7 @@ import missionsim
 from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.inputs import check_files, load_mission, load_robot
+from missionsim.inputs.loading import robot_from_text
 
 ROBOT = """\
 kind: robot
@@ -238,6 +239,38 @@ def test_formula_of_an_effect(folder: Path) -> None:
     assert ": warning: formula names 'yaw_rate_rads'" in told("robot.yaml")[0]
     change("robot", "yaw_rate_rads", "fan_speed_hz")
     assert told("robot.yaml") == []
+
+
+@pytest.mark.parametrize(
+    ("power", "parameters", "told"),
+    [
+        ("k * v", "k: 3 kg", "the formula gives m kg s^-1, no power"),
+        ("k * v", "k: 3 N", ""),
+        ("k * v**2", "k: 3 W s/m", "the formula gives m^3 kg s^-4, no power"),
+        ("k * abs(v)**0.5 * abs(w)", "k: {value: 3, unit: W s^1.5/m^0.5/rad}", ""),
+        ("k * v + j", "k: 3 W s/m, j: 2 J", "the formula adds or compares k * v in W and j in J"),
+        ("max(k * v, j)", "k: 3 W s/m, j: 2 W", ""),
+        ("k * max(temp_ambient_c - 20, 0)", "k: 3 W/K", ""),
+        ("k * max(lag(abs(v), tau) - abs(v), 0)", "k: 3 W s/m, tau: 8 s", ""),
+        ("k * on_time_lidar * (surface == 'grass') * exp(-v)", "k: 3 W/s", ""),
+        ("2 * k * v", "k: 3 kg", ""),  # the 2 may be two metres
+        ("k * v * brush_rpm", "k: 3 kg", ""),
+        ("k * v + j", "k: {value: 3, sd: 1}, j: 2 W", ""),
+        ("k * (abs(v) + abs(w))", "k: 3", ""),
+    ],
+)
+def test_a_formula_gives_watts_as_far_as_its_units_tell(power: str, parameters: str, told: str) -> None:
+    text = (
+        "kind: robot\nname: bot\nbody: {drive: differential, max_speed: 1 m/s, mass: 9 kg}\n"
+        "batteries: {main: {capacity: 99 Wh}}\nmotion: {battery: main, model: none}\n"
+        f'effects:\n  - {{name: own, battery: main, power: "{power}", parameters: {{{parameters}}}}}\n'
+    )
+    try:
+        robot_from_text(text)
+        faults = []
+    except InputError as error:
+        faults = [(fault.message, fault.line, fault.path) for fault in error.faults]
+    assert faults == ([(told, 7, "effects.0.power")] if told else [])
 
 
 def test_unknown_robot_by_name() -> None:
