@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, Target
 from missionsim.cli.run import clock
-from missionsim.errors import InputError
-from missionsim.inputs.overrides import split_assignment
+from missionsim.errors import Fault, InputError
+from missionsim.inputs.overrides import split_assignment, value_of
 from missionsim.numerals import in_wh, rounded
 from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
@@ -72,7 +72,7 @@ def whatif(
         if mission is None:
             raise InputError.single("whatif needs a mission", allowed="whatif MISSION.yaml --vary …")
         path = mission
-        pairs = [(name, split_values(text)) for name, text in map(split_assignment, vary or ())]
+        pairs = to_vary(vary or ())
         alternatives = [Alternative(BASELINE, base, robot)]
         alternatives += [Alternative(a.name, a.set, robot) for a in varied(pairs, base)]
     if montecarlo and not 2 <= montecarlo <= MOST_RUNS:
@@ -135,22 +135,34 @@ def _percent(row: Mapping[str, Any]) -> str:
     return f"{100 * row['p_feasible']:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
 
 
-def split_values(text: str) -> list[str]:
-    """Values between commas that stand in no bracket, brace or quote.
+def to_vary(given: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Paths and their values. Raises InputError: with every value that is empty or not YAML."""
+    pairs = [(path, split_values(text)) for path, text in map(split_assignment, given)]
+    faults: list[Fault] = []
+    for path, value in ((path, value) for path, values in pairs for value in values):
+        try:
+            value_of(value, path)
+        except InputError as problem:
+            faults += problem.faults
+        if not value:
+            faults.append(Fault("", 0, 0, "an empty value among those to vary", path, "", "path=v1,v2"))
+    if faults:
+        raise InputError(faults)
+    return pairs
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where a value is empty.
-    """
+
+def split_values(text: str) -> list[str]:
+    """Values between commas that stand in no bracket, brace or quote; a quotation mark inside a word is none."""
     values: list[str] = []
     for piece in text.split(","):
-        bare = re.sub(r"""'[^']*'|"[^"]*\"""", "", values[-1] if values else "")
-        still_open = sum(map(bare.count, "[{(")) > sum(map(bare.count, "]})")) or "'" in bare or '"' in bare
+        bare = _QUOTED.sub("", values[-1] if values else "")
+        still_open = sum(map(bare.count, "[{(")) > sum(map(bare.count, "]})")) or _QUOTE.search(bare) is not None
         values[-1:] = [f"{values[-1]},{piece}"] if still_open else [*values[-1:], piece]
-    if not all(map(str.strip, values)):
-        raise InputError.single("an empty value among those to vary", got=text, allowed="path=v1,v2")
     return [value.strip() for value in values]
+
+
+_QUOTE = re.compile(r"(?<![^\s\[{(:,])['\"]")
+_QUOTED = re.compile(r"""(?<![^\s\[{(:,])('([^']|'')*'|"([^"\\]|\\.)*")""")
 
 
 def show(found: WhatIf) -> None:

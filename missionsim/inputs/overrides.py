@@ -52,11 +52,9 @@ def apply(document: Document, overrides: Iterable[tuple[str, object]]) -> list[F
     for path, value in overrides:
         shown = value if isinstance(value, str) else repr(value)
         try:
-            data = parse_document(value or "null", name="").data if isinstance(value, str) else value
+            data = value_of(value, document.prefix + path) if isinstance(value, str) else value
         except InputError as problem:
-            reason = problem.faults[0].message
-            told = f"value is {reason}" if reason.startswith("not") else reason
-            faults.append(Fault("", 0, 0, told, document.prefix + path, shown))
+            faults += problem.faults
             continue
         found = resolve(document.data, path)
         if isinstance(found, Fault):
@@ -65,6 +63,16 @@ def apply(document: Document, overrides: Iterable[tuple[str, object]]) -> list[F
         document.data = _changed(document.data, found, data)
         document.overrides[found] = shown
     return faults
+
+
+def value_of(text: str, path: str) -> object:
+    """The data of a value. `path`: where it goes, for messages. Raises InputError: `text` is not YAML."""
+    try:
+        return parse_document(text or "null", name="").data
+    except InputError as problem:
+        reason = problem.faults[0].message
+        told = f"value is {reason}" if reason.startswith("not") else reason
+        raise InputError(Fault("", 0, 0, told, path, text)) from None
 
 
 def resolve(data: object, path: str) -> tuple[str | int, ...] | Fault:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from missionsim.cli.app import run_command
-from missionsim.cli.whatif import split_values
+from missionsim.cli.whatif import split_values, to_vary
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
 from missionsim.inputs.loading import load_mission
@@ -110,6 +110,12 @@ def test_what_it_refuses(corridor: Path, arguments: list[str], capsys: pytest.Ca
 def test_values_between_commas() -> None:
     assert split_values("0.3, 0.46 ,1e-1") == ["0.3", "0.46", "1e-1"]
     assert split_values("{laser: 1, kinect: 1},[1,2],'a,b'") == ["{laser: 1, kinect: 1}", "[1,2]", "'a,b'"]
+    assert split_values("it's,that's,'it''s, b'") == ["it's", "that's", "'it''s, b'"]
+    with pytest.raises(InputError) as caught:
+        to_vary(['defaults.speed="0.5 m/s" x,1,,"0.6 m/s', "a=[1"])
+    told = sorted((fault.path, fault.got) for fault in caught.value.faults)
+    paths = ("defaults.speed", "defaults.speed", "defaults.speed", "a")
+    assert told == sorted(zip(paths, ('"0.5 m/s" x', "", '"0.6 m/s', "[1"), strict=True))
     made = varied([("defaults.speed", ["1", "2"]), ("a.b", ["x", "y"])])
     assert [item.name for item in made] == ["speed=1, a.b=x", "speed=1, a.b=y", "speed=2, a.b=x", "speed=2, a.b=y"]
     paths = [f"robot.components.{name}.loads.0.power" for name in ("lidar", "camera")]
