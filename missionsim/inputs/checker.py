@@ -119,6 +119,9 @@ class Checker:
         for name in parameters:
             if name not in used:
                 self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
+            elif (column := ALIASES.get(name, name)) != name or column_of(name) is not None:
+                message = f"'{name}' in the formula is the parameter of that name, not what {column} is"
+                self.add(where, message, text[:80], "another name for the parameter", warning=True)
 
 
 def _lag_faults(lag: Lag, times: Mapping[str, Parameter] | None) -> Iterator[Fault]:

@@ -273,6 +273,18 @@ def test_a_formula_gives_watts_as_far_as_its_units_tell(power: str, parameters: 
     assert faults == ([(told, 7, "effects.0.power")] if told else [])
 
 
+@pytest.mark.parametrize(("name", "column"), [("v", "speed_m_s"), ("m", "mass_kg"), ("payload_kg", "payload_kg")])
+def test_a_parameter_that_hides_a_column_is_told(folder: Path, name: str, column: str) -> None:
+    text = (
+        "kind: robot\nname: bot\nbody: {drive: differential, max_speed: 1 m/s}\nbatteries: {main: {capacity: 99 Wh}}\n"
+        f"motion: {{battery: main, model: expression, power: c * {name}, parameters: {{c: 10, {name}: 3}}}}\n"
+    )
+    (folder / "bot.yaml").write_text(text)
+    (fault,) = check_files([folder / "bot.yaml"])
+    told = f"'{name}' in the formula is the parameter of that name, not what {column} is"
+    assert (fault.message, fault.line, fault.path) == (told, 5, "motion.power")
+
+
 def test_unknown_robot_by_name() -> None:
     with pytest.raises(InputError) as caught:
         load_robot("pioner3dx")
