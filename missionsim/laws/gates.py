@@ -12,7 +12,8 @@ from missionsim.identify.evidence import chance_of, robust
 from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.settings import SEVERAL_RUNS
+from missionsim.identify.proposed import FAR_BETTER
+from missionsim.identify.settings import HALVED_LEVEL, SEVERAL_RUNS
 from missionsim.identify.simpler import drifts_as_well
 from missionsim.physics import Array
 
@@ -56,10 +57,12 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
         else:  # two runs know little of a product of three: what it says of other runs is a guess
             least, runs = FEW_BETTER, len(fitted.form)
     errors = fitted.errors
+    # few runs leave that test no power, and what leaves less than half of their squared error needs little
+    level = HALVED_LEVEL if errors.with_law < FAR_BETTER * errors.without else chance_of(fitted.penalty)
     passed = {
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
-        "blocks": by_chance < chance_of(fitted.penalty),
+        "blocks": by_chance < level,
         "left-out runs": errors.with_law < least * errors.without
         and errors.better >= (0.75 if clock else 0.5) * errors.acting,
         # stretches of one run are no runs
