@@ -125,11 +125,13 @@ class LeastSquares:
         """Solutions (..., m) of normal equations in which no base parameter changes its sign: an impossible curve of
         speed would stand in for what is missing. Of few runs, cut into stretches, some would hold and others not."""
         value = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
-        turned = np.any(value[:, : self.q] < -1.0, axis=1) & (int(self.run.max()) + 1 >= FEWEST_FOLDS - 2)
+        # one that takes power away may well turn: calibration without what is missing had bent it below nought
+        least = np.where(self.whole[-2, 1 : 1 + self.q] < 0.0, -np.inf, -1.0)
+        turned = np.any(value[:, : self.q] < least, axis=1) & (int(self.run.max()) + 1 >= FEWEST_FOLDS - 2)
         for i in np.flatnonzero(turned):
             gone = np.zeros(value.shape[1], dtype=bool)
-            while np.any(value[i, : self.q] < -1.0):
-                gone[: self.q] |= value[i, : self.q] < -1.0
+            while np.any(value[i, : self.q] < least):
+                gone[: self.q] |= value[i, : self.q] < least
                 value[i, gone] = -1.0
                 rest = np.linalg.solve(
                     inner[i][np.ix_(~gone, ~gone)], side[i, ~gone] + inner[i][~gone][:, gone].sum(axis=1)
