@@ -31,6 +31,8 @@ from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
 
 KINDS = ("nominal", "recalibrated", "with_effects")
+MOST_LOST = 0.5
+"""Part of the energy that a resistance on the way takes at most (maximum power transfer)."""
 PARTS = 4
 """Of the runs, each predicted from the others: with fewer, each would be fitted to too few runs of a floor."""
 
@@ -198,7 +200,8 @@ class Models:
         self, effects: Sequence[Finding], spared: int = 1, least: float = 0.0
     ) -> tuple[tuple[Finding, ...], FinalFit]:
         """The effects with the coefficients of the last fit, and that fit; what came to nothing in it and is not needed
-        goes again, but for the first `spared` of at least some share of the energy. Of a single run, each goes without
+        goes again, but for the first `spared` of at least some share of the energy; so does a loss of more than half of
+        it, which no resistance on the way can take. Of a single run, each goes without
         which its parts are predicted as well."""
         while True:
             fitted = self.fit(effects)
@@ -207,6 +210,10 @@ class Models:
             nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
             # levels of a label may differ and sum to nothing, and what hides behind the base may be needed all the same
             nothing = [one for one in nothing if not self._needed(one, told)]
+            # the square of a load imitates products of speed, turning and cold
+            library = self.features.effects
+            lossy = [one for one in told if (own := library.get(one.effect)) is not None and own.of_load]
+            nothing += [one for one in lossy if one.energy_share > MOST_LOST]
             if len(self.runs) == 1:
                 nothing += [one for one in told if not self._needed(one, told, 0.0)]
             if not nothing:
