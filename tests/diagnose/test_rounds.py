@@ -172,11 +172,22 @@ def test_levels_that_sum_to_nothing_stay_where_other_runs_need_them(without: flo
     models = Fitted({("grade", "floor", "drag"): 9.0, ("grade", "drag"): without, ("grade", "floor"): 9.0})
     models = replace(models, squares={**models.squares, ("grade",): without})
     label = Candidate("floor", ("a", "b"), levels=("a", "b"))
-    models = replace(models, features=SimpleNamespace(candidates=[label, Candidate("drag", ("",))]))
+    models = replace(models, features=SimpleNamespace(candidates=[label, Candidate("drag", ("",))], effects={}))
     grade, floor, drag = named("grade", "floor", "drag")
     none = {"share_low": -0.1, "share_high": 0.3}
     told, _ = models.certain([grade, replace(floor, **none), replace(drag, **none)])  # type: ignore[misc]
     assert tuple(effect.effect for effect in told) == kept
+
+
+@pytest.mark.parametrize(("share", "of_load", "kept"), [(0.8, True, False), (0.8, False, True), (0.4, True, True)])
+def test_no_resistance_on_the_way_takes_more_than_half_of_the_energy(share: float, of_load: bool, kept: bool) -> None:
+    """On a Husky's motion the square of the load imitated products of speed, turning and cold."""
+    grade, loss = named("grade", "loss")
+    effects = {"loss": SimpleNamespace(of_load=of_load), "grade": SimpleNamespace(of_load=False)}
+    models = Fitted({("grade", "loss"): 9.0, ("grade",): 16.0})
+    models = replace(models, features=SimpleNamespace(candidates=[], effects=effects))
+    told, _ = models.certain([grade, replace(loss, energy_share=share, share_low=0.01, share_high=1.6)])  # type: ignore[misc]
+    assert [effect.effect for effect in told] == ["grade", *["loss"] * kept]
 
 
 def test_an_effect_keeps_its_share_where_it_gives_nothing_back() -> None:

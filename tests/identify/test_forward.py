@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from missionsim.identify import predictive
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.forward import _Search
 from missionsim.identify.identification import identify
 from missionsim.identify.noise import bounded_noise
-from missionsim.identify.predictive import LeastSquares, far_from_right, sober_clock
+from missionsim.identify.predictive import LeastSquares, Left, far_from_right, sober_clock
 from missionsim.identify.settings import WORSE_ENERGY, WORSE_ENERGY_LEVEL, Settings
 
 from .world import library, make_runs
@@ -281,6 +283,38 @@ def test_two_late_runs_of_six_are_no_clock_of_all() -> None:
     late = make_runs(3, {"grade": 0.3}, delay_s=3.0)[:2]
     clock = clock_of([*late, *make_runs(3, {"grade": 0.3})[2:]])
     assert (clock.delay_s, clock.lag_s) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("lags", "least", "seen"),
+    [(True, 1.0, True), (True, 1.6, False), (False, 1.0, False)],  # 0.3 and 0.7 of the squared error; a meter ahead
+)
+def test_a_lag_that_halves_the_error_of_left_out_runs_is_one_though_a_run_disagrees(
+    monkeypatch: pytest.MonkeyPatch, lags: bool, least: float, seen: bool
+) -> None:
+    """Errors [W] of the stretches of four drives of a Warthog whose meter lagged by half a second: p = 0.03 of a paired
+    test. At a clock of zero an effect had to stand in for the lag."""
+    still = np.array([63.6, 36.8, 111.5, 123.6, 46.1, 64.7, 218.3])
+    best = np.array([74.0, 50.6, 56.9, 59.2, 26.4, 37.3, 105.1])
+
+    def squares_at(clock: Clock) -> SimpleNamespace:
+        off = (clock.lag_s - 0.6, clock.delay_s) if lags else (clock.lag_s, clock.delay_s + 0.6)
+        near = max(0.0, 1.0 - 4.0 * (abs(off[0]) + abs(off[1])))
+        power = still + near * (best * least - still)
+        return SimpleNamespace(leave_out=lambda _: Left(power**2, power, power))
+
+    monkeypatch.setattr(predictive.LeastSquares, "of", squares_at)
+    source = SimpleNamespace(runs=range(4), layout=SimpleNamespace(step_s=1.0), design=lambda clock, _: clock)
+    assert sober_clock(source, ()).lag_s == pytest.approx(0.6 if seen else 0.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("was", "now", "held"), [(263.0, -269.0, 0.0), (-263.0, 269.0, 269.0)])
+def test_a_base_parameter_that_takes_power_away_may_turn(was: float, now: float, held: float) -> None:
+    """A calibration without scrub had bent a friction of +269 to -263; held there, five floors stood in for it."""
+    driven = np.linspace(0.0, 1.0, 200)
+    rows = np.vstack([(now - was) * driven, was * driven, np.ones(200), 10.0 - driven])
+    squares = LeastSquares(np.array([rows @ rows.T] * 6), np.full(6, 200.0), np.full(1, 1e3), np.arange(6))
+    assert was * (1.0 + squares.fit(())[0]) == pytest.approx(held, abs=0.1)
 
 
 @pytest.mark.parametrize(("part", "far"), [(0.02, False), (0.4, True)])

@@ -157,6 +157,20 @@ def test_far_from_right_a_law_of_a_corner_of_the_data_is_none(
     assert {name for name, passed in gates.gates(law).passed.items() if not passed} == (set() if held else {"blocks"})
 
 
+@pytest.mark.parametrize(
+    ("without", "by_runs", "held"), [(153.0, 0.007, True), (153.0, 0.06, False), (86.0, 0.007, False)]
+)
+def test_a_law_that_halves_the_error_of_a_few_left_out_runs_needs_no_more_of_their_test(
+    monkeypatch: pytest.MonkeyPatch, without: float, by_runs: float, held: bool
+) -> None:
+    """Turning at speed on the motion of four drives of a Warthog: twelve standard errors over runs of which two lead,
+    so that no law could pass, and scrub stood in for it."""
+    monkeypatch.setattr(gates, "robust", lambda *_: (0.264, 0.01, 0.0, 0.022, by_runs))
+    errors = SimpleNamespace(without=without, with_law=58.0, better=4, acting=4)
+    law = SimpleNamespace(model=model_of(True, 4), column=0, errors=errors, rise=396.0, penalty=5.8, form=(0, 1))
+    assert gates.gates(law).passed["blocks"] is held
+
+
 @pytest.mark.parametrize(("better", "clock", "held"), [(4, False, True), (5, True, False), (6, True, True)])
 def test_a_clock_must_help_in_three_runs_of_four(
     monkeypatch: pytest.MonkeyPatch, better: int, clock: bool, held: bool
