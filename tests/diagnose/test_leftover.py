@@ -164,10 +164,12 @@ def test_watts_that_are_worth_a_sentence(here: float, there: float, told: bool) 
     assert bool(fed_note(last, "robot", [run(here)], [run(there)])) is told
 
 
-@pytest.mark.parametrize(("bend", "told"), [("abs(yaw_rate_rad_s)", False), ("tanh(abs(yaw_rate_rad_s) / 0.01)", True)])
-def test_a_law_that_reads_the_noise_of_straight_drives_is_told(bend: str, told: bool) -> None:
+@pytest.mark.parametrize(
+    ("bend", "unit", "told"), [("abs(yaw_rate_rad_s)", "W s", False), ("tanh(abs(yaw_rate_rad_s) / 0.01)", "W", True)]
+)
+def test_a_law_that_reads_the_noise_of_straight_drives_is_told(bend: str, unit: str, told: bool) -> None:
     """A gyro's 0.03 rad/s while the robot drives straight: a simulated mission has none there."""
-    law = f'\n  - {{name: law, battery: robot, power: "k * {bend}", parameters: {{k: {{value: 20, unit: W}}}}}}\n'
+    law = f'\n  - {{name: law, battery: robot, power: "k * {bend}", parameters: {{k: {{value: 20, unit: {unit}}}}}}}\n'
     text = robot_text("pioneer3dx")
     model = Subject.of(robot_from_text(text + "\neffects:" + law)).model
     rng = np.random.default_rng(1)
