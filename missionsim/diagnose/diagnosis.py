@@ -41,7 +41,7 @@ MOST_WHERE = 4
 MOST_SHIFTS = 4
 MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 STANDS_IN = "stood in for a law that the library does not hold"
-NOTHING_LEFT = "comes to nothing, or to more than can be, beside the others once all are fitted together"
+NOTHING_LEFT = "comes to nothing beside the others once all are fitted together, or to more than can be"
 
 
 def diagnose_files(
