@@ -192,10 +192,15 @@ def diagnose_battery(
         if all("speed_m_s" in log.columns for log in logs):
             driven = execution_effects(timeline, logs, battery, settings.alpha)
     execution = tuple(one for one in driven if one.level)
+    if proposed:  # the base as it will stand in the file, beside the law
+        law_itself = as_finding(proposed[0])
+        fitted = with_law(models, law_itself.effect, law_itself.effect).fit([*effects, law_itself])
     recalibration = models.recalibrated(fitted)
     # what remains with all that was named, and which parts of it are averages that say nothing of their own
     left, more = found.unexplained, list[Structure]()
-    if features.given_sd:
+    # beside what was found, a base within its priors was not far off: it had taken the part of what was missing
+    off = any(abs(one.shift_in_prior_sd) > settings.recalibration_limit for one in recalibration)
+    if features.given_sd and (off or not (effects or proposed)):
         shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in recalibration[:MOST_SHIFTS])
         far = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
         more.append(Structure("", 0.0, 0.0, 0.0, far))

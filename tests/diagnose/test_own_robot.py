@@ -261,6 +261,21 @@ def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect()
     assert base["c3"].value == pytest.approx(2.0 * 9.79, rel=0.15)
 
 
+def test_a_base_that_only_made_up_for_a_law_is_not_called_far_from_right() -> None:
+    """The file is right; alone its base would have taken c3 +54 % and c2 −55 % of what is a law."""
+    logs = []
+    for seed in range(4):
+        log = drive(seed)
+        law = 12.0 * np.sqrt(np.abs(log.columns["speed_m_s"])) * np.abs(log.columns["yaw_rate_rad_s"])
+        logs.append(drawing(log, log.power_w[BATTERY] + law))
+    subject = Subject.of(robot_from_text(robot_text("pioneer3dx")))
+    found = diagnose_battery(subject, Split(tuple(logs), (), ""), BATTERY, None, Settings())
+    assert [law.first.formula for law in found.proposed_laws] == ["k * abs(speed_m_s)**0.5 * abs(yaw_rate_rad_s)"]
+    assert "far from right" not in found.unexplained.shape
+    assert {one.parameter for one in found.recalibration} >= {"c2", "c3", "c4"}
+    assert max(abs(one.shift) for one in found.recalibration) < 0.1
+
+
 def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []
     for seed in range(5):
