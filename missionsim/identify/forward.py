@@ -20,6 +20,7 @@ from missionsim.identify.evidence import Evidence
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares, Left, far_from_right, sober_clock
 from missionsim.identify.settings import (
+    AS_MUCH,
     ENERGY_FALL,
     FAMILY_LEVEL,
     HALVED,
@@ -108,13 +109,13 @@ class Forward:
 
     def stands(self, model: Model) -> bool:
         """Whether it stands against a model of the finer search: left-out runs err far less than all do with that one,
-        or it holds the same effects and others, all at the level of that search."""
+        or less, and it holds the same effects and others, all at the level of that search."""
         squares = LeastSquares.of(model.design)
         fitted = squares.errors(squares.index(model.chosen), model.estimate(model.chosen)[0]).total
         p_values = {number: t.p_value for number, t in self.trials.items() if set(t.columns) <= set(self.chosen)}
         more = {model.source.layout.columns[k].candidate for k in model.chosen} < set(p_values)
         sure = more and max(p_values.values()) < model.constraints.settings.alpha / len(self.trials)
-        return sure or self.squares.leave_out(self.chosen).total < SWALLOWED * fitted
+        return self.squares.leave_out(self.chosen).total < (AS_MUCH if sure else SWALLOWED) * fitted
 
     def smallest_detectable(self, columns: int, settings: Settings) -> Array:
         """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""
@@ -277,8 +278,7 @@ class _Search:
 
     def _louder(self, best: Trial, chosen: Sequence[int]) -> bool:
         """Whether an effect explains so much more than the logged watts in a set that it is no imitation of them."""
-        logged = self._logged(chosen)
-        total = self.squares.leave_out(chosen).total
+        logged, total = self._logged(chosen), self.squares.leave_out(chosen).total
         without = self.squares.leave_out([k for k in chosen if self.effect_of(k) not in logged]).total
         return total - best.left.total > LOUDER * (without - total)
 

@@ -13,7 +13,7 @@ from missionsim.identify import predictive
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.design import make_source
-from missionsim.identify.forward import _Search
+from missionsim.identify.forward import Forward, _Search
 from missionsim.identify.identification import identify
 from missionsim.identify.noise import bounded_noise
 from missionsim.identify.predictive import LeastSquares, Left, far_from_right, sober_clock
@@ -306,6 +306,31 @@ def test_a_lag_that_halves_the_error_of_left_out_runs_is_one_though_a_run_disagr
     monkeypatch.setattr(predictive.LeastSquares, "of", squares_at)
     source = SimpleNamespace(runs=range(4), layout=SimpleNamespace(step_s=1.0), design=lambda clock, _: clock)
     assert sober_clock(source, ()).lag_s == pytest.approx(0.6 if seen else 0.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("left", "p_value", "stands"), [(0.75, 3e-6, True), (0.95, 3e-6, False), (0.75, 1e-3, False), (0.5, 1e-3, True)]
+)
+def test_what_prediction_finds_beside_the_finer_search_takes_something_off_its_error(
+    monkeypatch: pytest.MonkeyPatch, left: float, p_value: float, stands: bool
+) -> None:
+    """A sober clock left an inertia of 0.8 % over, at p = 3e-6, where nothing was hidden: 0.95 of the squared error of
+    the finer search. A load beside turns that no column shows: 0.75."""
+    found = SimpleNamespace(
+        squares=SimpleNamespace(leave_out=lambda _: SimpleNamespace(total=left)),
+        trials={0: SimpleNamespace(columns=(0,), p_value=p_value), 1: SimpleNamespace(columns=(1,), p_value=0.5)},
+        chosen=(0,),
+    )
+    fitted = SimpleNamespace(errors=lambda *_: SimpleNamespace(total=1.0), index=lambda _: None)
+    monkeypatch.setattr(LeastSquares, "of", lambda _: fitted)
+    finer = SimpleNamespace(
+        design=None,
+        chosen=(),
+        estimate=lambda _: (None, None),
+        constraints=SimpleNamespace(settings=Settings()),
+        source=SimpleNamespace(layout=SimpleNamespace(columns=())),
+    )
+    assert Forward.stands(found, finer) is stands  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("was", "now", "held"), [(263.0, -269.0, 0.0), (-263.0, 269.0, 269.0)])
