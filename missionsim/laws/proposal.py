@@ -23,7 +23,7 @@ from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
-from missionsim.numerals import rounded, watts
+from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import repeated
 
@@ -328,7 +328,9 @@ def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str
         return f"repeat one drive of 3 min with {told} changed and {lead} as it was: only some forms depend on it"
     if curve is None or len(laws) < 2:
         return ""
-    x = np.linspace(curve.x[0], curve.x[0] + 1.4 * (curve.x[-1] - curve.x[0]), 2 * POINTS)
+    column = column_of(curve.variable)
+    most = np.inf if column is None else column[0].high
+    x = np.linspace(curve.x[0], min(curve.x[0] + 1.4 * (curve.x[-1] - curve.x[0]), most), 2 * POINTS)
     # the other quantities as they usually are, or at an end of what was driven
     ends = [[(name, usual)] for name, usual in curve.at.items()]
     ends = [[one[0], *((one[0][0], end) for end in curve.spans.get(one[0][0], ()))] for one in ends]
@@ -337,8 +339,7 @@ def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str
         curves = [law.k * evaluate(law.formula, {**dict(others), curve.variable: x}, len(x)) for law in laws]
         gap = np.ptp(np.vstack(curves), axis=0)
         if gap.max() > best_w:
-            unit, best_w = f" {curve.unit}" if curve.unit else "", float(gap.max())
-            at = f"{lead} {rounded(x[int(np.argmax(gap))], 2)}{unit}"
+            best_w, at = float(gap.max()), state(curve.variable, float(x[int(np.argmax(gap))]))
             moved = [state(name, value) for name, value in others if value != curve.at[name]]
             beside = f"{', '.join(moved)}, the rest as usual" if moved else "the rest as usual"
     for minutes in MINUTES:

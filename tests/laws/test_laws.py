@@ -306,6 +306,15 @@ def test_neither_effect_nor_formula_is_a_fault(tmp_path: Path, capsys: pytest.Ca
     assert "either --effect or --formula" in capsys.readouterr().err
 
 
+def test_no_drive_asks_for_more_than_can_be() -> None:
+    """A processor load of 1.4 1 was to be driven."""
+    forms = [replace(law().first, formula=f, k=k) for f, k in (("k * cpu_load", 10.0), ("k * cpu_load**3", 20.0))]
+    curve = Curve("cpu_load", "1", (0.1, 0.95), (1.0, 9.5), (0.9, 9.0), (1.1, 10.0), {}, 0.5)
+    noise = {"sd_w": 0.1, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3}
+    drive = _experiment(forms, curve, (), noise)
+    assert drive.startswith("3 min at processor load 1.0 and 3 min at half of it")
+
+
 def test_forms_that_no_meter_tells_apart_ask_for_no_drive() -> None:
     """Two forms that differ in the speed alone: by 2 W at most; then under noise that hides that in any length."""
     one, other = (replace(law().first, formula=f, k=10.0) for f in ("k * slope_rad", "k * slope_rad * abs(speed_m_s)"))
