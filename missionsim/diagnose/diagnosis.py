@@ -165,7 +165,7 @@ def diagnose_battery(
     """
     seen = seen or examine(subject, split, battery, settings, clock)
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
-    effects, candidates, proposed, fitted = judged(seen, settings, laws, tried)
+    effects, candidates, proposed, fitted, in_file = judged(seen, settings, laws, tried)
     fits = (subject.model, models.fit(()).model, fitted.model)
     heldout: HeldOut | None = None
     if held:
@@ -192,10 +192,7 @@ def diagnose_battery(
         if all("speed_m_s" in log.columns for log in logs):
             driven = execution_effects(timeline, logs, battery, settings.alpha)
     execution = tuple(one for one in driven if one.level)
-    if proposed:  # the base as it will stand in the file, beside the law
-        law_itself = as_finding(proposed[0])
-        fitted = with_law(models, law_itself.effect, law_itself.effect).fit([*effects, law_itself])
-    recalibration = models.recalibrated(fitted)
+    recalibration = models.recalibrated(in_file)
     # what remains with all that was named, and which parts of it are averages that say nothing of their own
     left, more = found.unexplained, list[Structure]()
     # beside what was found, a base within its priors was not far off: it had taken the part of what was missing
@@ -267,6 +264,8 @@ class Named(NamedTuple):
     """Laws that the library does not hold."""
     fitted: FinalFit
     """The model with the effects."""
+    in_file: FinalFit
+    """The same beside the first law, if there is one: the base as the file will have it."""
 
 
 def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collection[str] = ()) -> Named:
@@ -296,7 +295,8 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
     effects = models.leaning(effects, fitted)
-    proposed = tuple(as_written(law, models, effects, held) for law in proposed)
+    written = [as_written(law, models, effects, held) for law in proposed]
+    proposed = tuple(law for law, _ in written)
     if any(law.first.low <= 0.0 <= law.first.high for law in proposed):  # nothing beside the base, once both are fitted
         return judged(seen, settings, laws=False)
     told = {effect.effect for effect in effects}
@@ -304,7 +304,7 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     for one in found.candidates:
         gone = STANDS_IN if one.effect in stood_in else NOTHING_LEFT if one.accepted and one.effect not in told else ""
         candidates.append(replace(one, accepted=False, open=True, reason=gone) if gone else one)
-    return Named(effects, tuple(candidates), proposed, fitted)
+    return Named(effects, tuple(candidates), proposed, fitted, written[0][1] if written else fitted)
 
 
 def _beside_law(effect: Finding, laws: Sequence[Proposal], candidates: Sequence[Candidate]) -> str:

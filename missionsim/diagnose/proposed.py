@@ -11,6 +11,7 @@ from missionsim.effects.base import ParameterSpec
 from missionsim.effects.base_terms import expression_term
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
+from missionsim.fit.final import FinalFit
 from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.proposed import Law, Proposal
@@ -34,9 +35,11 @@ _OF_DRIVE = frozenset({"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_spe
 PROPOSED = "proposed: no effect of the library fits"
 
 
-def as_written(law: Proposal, models: Models, effects: Sequence[Finding], heldout: Sequence[Run]) -> Proposal:
+def as_written(
+    law: Proposal, models: Models, effects: Sequence[Finding], heldout: Sequence[Run]
+) -> tuple[Proposal, FinalFit]:
     """A proposal with the numbers that `add-effect` and `improve` write: those of each form fitted beside the effects
-    that were named; and its errors on runs that nothing was fitted to.
+    that were named; and its errors on runs that nothing was fitted to. Then the fit of its first form.
 
     The search goes by the noise of its rows and by their likelihood; what is written has the energy that was measured.
     """
@@ -54,10 +57,11 @@ def as_written(law: Proposal, models: Models, effects: Sequence[Finding], heldou
     curve = law.curve and law.curve.times(times)
     made = replace(law, laws=tuple(forms), curve=curve, energy_share=forms[0].energy_share, share_sd=share_sd)
     if not heldout:
-        return made
+        return made, fits[0]
     before, after = (models.errors(power, heldout) for power in (models.fit(effects).model, fits[0].model))
     energy_pct = (before.run_energy_error_pct, after.run_energy_error_pct)
-    return replace(made, heldout_rmse_w=(before.power_rmse_w, after.power_rmse_w), heldout_energy_pct=energy_pct)
+    rmse_w = (before.power_rmse_w, after.power_rmse_w)
+    return replace(made, heldout_rmse_w=rmse_w, heldout_energy_pct=energy_pct), fits[0]
 
 
 def with_law(models: Models, name: str, formula: str) -> Models:

@@ -141,9 +141,9 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
         of_all_braking=tuple, certain=lambda effects, *_: (effects, None), leaning=lambda effects, _: effects
     )
     monkeypatch.setattr(diagnosis, "propose", lambda *_: law)
-    monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: law)
+    monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
     seen = SimpleNamespace(features=features, found=found, models=models, held=())
-    _, _, proposed, _ = diagnosis.judged(seen, Settings(), True, tried)  # type: ignore[arg-type]
+    _, _, proposed, *_ = diagnosis.judged(seen, Settings(), True, tried)  # type: ignore[arg-type]
     assert len(proposed) == laws
 
 
