@@ -290,3 +290,58 @@ def _equal(a: Any, b: Any) -> Any:
         if isinstance(other, str) and hasattr(one, "equals"):
             return one.equals(other)
     return np.equal(a, b) if not (isinstance(a, str) or isinstance(b, str)) else np.asarray(a == b)
+
+
+Powers = dict[str, float]
+"""Powers of units, by their names."""
+
+
+class UnlikeError(ValueError):
+    """A formula adds or compares what has unlike units: `parts`, by their text."""
+
+    def __init__(self, parts: Mapping[str, Powers]) -> None:
+        super().__init__(*parts)
+        self.parts = parts
+
+
+def units_in(formula: str, of: Callable[[str], Powers | None], unknown: Powers | None = None) -> Powers | None:
+    """Powers of the units that the value of a formula has, from those `of` its names.
+
+    `unknown`: what numbers count as, and all of which nothing is known. With None nothing is known of a product with
+    them either, and what is known of a sum has to be alike. Raises UnlikeError: where it is not.
+    """
+
+    def times(a: Powers | None, b: Powers | None, power: float) -> Powers | None:
+        if a is None or b is None:
+            return None
+        return {name: round(a.get(name, 0.0) + power * b.get(name, 0.0), 6) for name in {**a, **b}}
+
+    def alike(*parts: ast.expr) -> Powers | None:
+        known = {ast.unparse(part): found for part in parts if (found := walk(part)) is not None}
+        if unknown is None and len({frozenset((n, p) for n, p in found.items() if p) for found in known.values()}) > 1:
+            raise UnlikeError(known)
+        return next(filter(None, known.values()), {} if known else unknown)
+
+    def walk(node: ast.expr) -> Powers | None:
+        match node:
+            case ast.Name(id=name):
+                return of(name)
+            case ast.UnaryOp(operand=inner) | ast.Call(func=ast.Name(id="abs" | "floor" | "lag"), args=[inner, *_]):
+                return walk(inner)
+            case ast.BinOp(left=left, op=ast.Mult() | ast.Div() | ast.FloorDiv() as op, right=right):
+                return times(walk(left), walk(right), 1.0 if isinstance(op, ast.Mult) else -1.0)
+            case ast.BinOp(left=base, op=ast.Pow(), right=ast.Constant(value=int() | float() as power)):
+                return times({}, walk(base), power)
+            case ast.Call(func=ast.Name(id="sqrt"), args=[base]):
+                return times({}, walk(base), 0.5)
+            case ast.BinOp(left=first, op=ast.Add() | ast.Sub() | ast.Mod(), right=second):
+                return alike(first, second)
+            case ast.IfExp(body=first, orelse=second) | ast.Call(func=ast.Name(id="where"), args=[_, first, second]):
+                return alike(first, second)
+            case ast.Call(func=ast.Name(id="max" | "min" | "maximum" | "minimum" | "clip" | "hypot"), args=parts):
+                return alike(*parts)
+            case ast.Call() | ast.Compare() | ast.BoolOp():
+                return {}  # sines, exponentials, what holds or not
+        return unknown
+
+    return walk(ast.parse(formula.strip(), mode="eval").body)

@@ -12,6 +12,7 @@ from missionsim.effects.base import Effect, Parameters, ParameterSpec
 from missionsim.effects.covariates import Covariates, Value, is_clock, is_moving, label_equals, number
 from missionsim.errors import InputError
 from missionsim.expressions import REMEMBERED, Expression
+from missionsim.glossary import column_of
 from missionsim.physics.lag import lagged
 
 
@@ -189,6 +190,14 @@ def _remembered(cov: Covariates, text: str, x: Value, tau_s: Value) -> Value:
 ALIASES = {"v": "speed_m_s", "a": "accel_m_s2", "w": "yaw_rate_rad_s", "u": "lateral_speed_m_s"}
 ALIASES |= {"theta": "slope_rad", "m": "mass_kg"}
 """Short names that formulas may use."""
+_UNITS = {"moving_time_s": "s", "mass_kg": "kg", "drive_w": "W", "load_w": "W"}
+
+
+def unit_named(name: str) -> str:
+    """Unit of what a formula names so, beside its own parameters; empty where nobody knows."""
+    own = ALIASES.get(name, name)
+    column = None if own.startswith("on_time_") else column_of(own)
+    return column[0].unit if column else "s" if own.startswith("on_time_") else _UNITS.get(own, "")
 
 
 def _needs(formula: Expression, own: Collection[str]) -> tuple[str, ...]:
