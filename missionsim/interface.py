@@ -227,19 +227,12 @@ def diagnose(
     `alpha` is the family-wise rate of false alarms; `align` finds the delay of the meter.
     """
     from missionsim.diagnose.diagnosis import diagnose_files
+    from missionsim.identify.settings import Settings
 
-    left_out: list[str] = []
-    found = diagnose_files(
-        str(robot),
-        _paths(logs),
-        holdout=holdout,
-        mission=None if mission is None else Path(mission),
-        battery=battery,
-        alpha=alpha,
-        align=align,
-        on_left_out=left_out.extend,
-    )
-    _warn(left_out)
+    settings = Settings(alpha=alpha, align=align)
+    path = None if mission is None else Path(mission)
+    found = diagnose_files(str(robot), _paths(logs), holdout=holdout, mission=path, battery=battery, settings=settings)
+    _warn(found.left_out)
     data = found.to_json()["batteries"]
     told = [f"{n}: {b['verdict']} {' '.join(e['effect'] for e in b['effects'])}".strip() for n, b in data.items()]
     keys = ("effect", "energy_share", "p_value", "heldout_rmse_before_w", "heldout_rmse_after_w")
@@ -293,10 +286,8 @@ def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Ans
     from missionsim.diagnose.split import read_runs
     from missionsim.fit.calibrate import refit_robot
     from missionsim.inputs.loading import load_robot
-    from missionsim.inputs.power import build_power_model
 
-    spec = load_robot(robot)
-    runs, left_out = read_runs(spec, build_power_model(spec), _paths(logs))
+    runs, left_out = read_runs(load_robot(robot), _paths(logs))
     _warn(left_out)
     done = refit_robot(str(robot), runs, battery)
     keys = "name value sd before unit"
@@ -358,8 +349,8 @@ def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | No
     from missionsim.inputs.loading import load_robot
 
     spec = load_robot(robot)
-    split, _, left_out = read_split(spec, _paths(logs), holdout)
-    _warn(left_out, stacklevel=4)
+    split = read_split(spec, _paths(logs), holdout)
+    _warn(split.left_out, stacklevel=4)
     return spec, split
 
 

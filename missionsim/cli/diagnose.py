@@ -42,32 +42,22 @@ def diagnose(
         Write an interactive page to this HTML file.
     """
     search.check(logs)
-    left_out: list[str] = []
-    remarks: list[str] = []
     result = diagnose_files(
-        search.robot,
-        list(logs),
-        holdout=search.holdout,
-        mission=mission,
-        battery=search.battery,
-        alpha=search.alpha,
-        align=not search.no_align,
-        on_left_out=left_out.extend,
-        on_remark=remarks.extend,
+        search.robot, logs, holdout=search.holdout, mission=mission, battery=search.battery, settings=search.settings
     )
-    tell_left_out(left_out, to)
-    to.emit(result.to_json() | {"left_out": left_out})
+    tell_left_out(result.left_out, to)
+    to.emit(result.to_json())
     asked = sentences.Asked(search.robot, logs, search.given)
     if report is not None:
         footer = f"missionsim {__version__}, missionsim diagnose"
         write_text(report, diagnosis_page(result, footer=footer, asked=asked))
     if to.text:
         show(result, asked)
-        for line in remarks:
+        for line in result.remarks:
             console().print(line)
         if report is not None:
             console().print(f"report written: {report}")
-    return 1 if left_out or any(worse(one) for one in result.batteries.values()) else 0
+    return 1 if result.left_out or any(worse(one) for one in result.batteries.values()) else 0
 
 
 def show(result: Diagnosis, asked: sentences.Asked) -> None:
@@ -132,9 +122,9 @@ def improve(
     for name in without or ():
         if not name.startswith("law_"):  # laws are not known before they are found
             check_name(load_robot(search.robot), name)
-    spec, split, tables, left_out = search.read(logs, to)
+    spec, split = search.read(logs, to)
     text = robot_text(search.robot)
-    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    measured = list(dict.fromkeys(name for log in split.given for name in log.power_w))
     known = [name for name in measured if name in spec.batteries] or measured
     wanted = [search.battery] if search.battery is not None else known
     done: list[Improved] = []
@@ -173,7 +163,7 @@ def improve(
     advice = {one.battery: one.advice(search.robot, logs, search.given) for one in done}
     found = {"schema": "missionsim.improvement/1", "robot_file": str(out), "holdout": split.how}
     left = {name: " ".join(str(error).split()) for name, error in skipped.items()}
-    to.emit({**found, "batteries": {d.battery: d.to_json() for d in done}, "skipped": left, "left_out": left_out})
+    to.emit({**found, "batteries": {d.battery: d.to_json() for d in done}, "skipped": left, "left_out": split.left_out})
     if report is not None:
         write_text(report, improve_page(spec.name, done, advice=advice))
     for name in [] if to.quiet else [name for name in without or () if name not in refused]:
@@ -183,7 +173,7 @@ def improve(
         console().print(f"written: {out}")
         if report is not None:
             console().print(f"report written: {report}")
-    return 1 if left_out or any(one.worse for one in done) else 0
+    return 1 if split.left_out or any(one.worse for one in done) else 0
 
 
 def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: dict[str, Any]) -> None:
@@ -256,8 +246,8 @@ def add_effect(
         check_name(load_robot(search.robot), effect)
     elif formula is not None and not formula.strip().isdigit():
         check_formula(formula)
-    spec, split, tables, left_out = search.read(logs, to)
-    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    spec, split = search.read(logs, to)
+    measured = list(dict.fromkeys(name for log in split.given for name in log.power_w))
     motors = spec.motion.battery if spec.motion is not None else ""
     chosen = search.battery or (motors if motors in measured else measured[0])
     text = robot_text(search.robot)
@@ -279,7 +269,7 @@ def add_effect(
         print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
         return 1
     write_text(out, for_folder(made.text, out.parent))
-    to.emit(made.to_json() | {"battery": chosen, "left_out": left_out, "robot_file": str(out)})
+    to.emit(made.to_json() | {"battery": chosen, "left_out": split.left_out, "robot_file": str(out)})
     if made.worse:
         print(made.worse, file=sys.stderr)
     if made.rivals:
@@ -301,4 +291,4 @@ def add_effect(
         if made.heldout is not None:
             terminal.print("held out: " + heldout_line(made.heldout))
         terminal.print(f"written: {out}")
-    return 1 if made.worse or left_out else 0
+    return 1 if made.worse or split.left_out else 0

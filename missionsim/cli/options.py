@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from missionsim.diagnose.split import Split
     from missionsim.identify.settings import Settings
     from missionsim.inputs.robot import RobotSpec
-    from missionsim.logs import LogTable
 
 
 @dataclass(frozen=True)
@@ -180,19 +179,19 @@ class Search:
         words += [] if self.alpha == ALPHA else ["--alpha", f"{self.alpha:g}"]
         return shlex.join([*words, *(["--no-align"] if self.no_align else [])])
 
-    def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split, list[LogTable], list[str]]:
-        """Robot, runs to fit and to test on, all of them, and those left out; says what the checks found."""
+    def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split]:
+        """Robot, and runs to fit and to test on; says what the checks found."""
         from missionsim.diagnose.split import read_split
         from missionsim.inputs.loading import load_robot
         from missionsim.logs import describe
         from missionsim.runs.admit import unchanging
 
         spec = load_robot(self.robot)
-        split, tables, left_out = read_split(spec, logs, self.holdout)
-        tell_left_out(left_out, to)
-        for line in [] if to.quiet else [*describe(tables), *unchanging(tables)]:
+        split = read_split(spec, logs, self.holdout)
+        tell_left_out(split.left_out, to)
+        for line in [] if to.quiet else [*describe(split.given), *unchanging(split.given)]:
             print(visible(line), file=sys.stderr)
-        return spec, split, tables, left_out
+        return spec, split
 
 
 SHARED = (Output, Changes, Search)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,7 +25,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, Judged, RunSeries, Structure
 from missionsim.identify.proposed import Proposal, plain
-from missionsim.identify.settings import ALPHA, Settings
+from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
 from missionsim.laws.proposal import propose
 from missionsim.logs import describe
@@ -51,10 +51,7 @@ def diagnose_files(
     holdout: str | Sequence[str | Path] | None = None,
     mission: str | Path | None = None,
     battery: str | None = None,
-    alpha: float = ALPHA,
-    align: bool = True,
-    on_left_out: Callable[[list[str]], None] | None = None,
-    on_remark: Callable[[list[str]], None] | None = None,
+    settings: Settings | None = None,
 ) -> Diagnosis:
     """Diagnose from files.
 
@@ -70,14 +67,7 @@ def diagnose_files(
         The mission that every log is a drive of.
     battery : str, optional
         Only this one.
-    alpha : float
-        Family-wise rate of false alarms.
-    align : bool
-        Find and apply delay and lag of the meter behind the motion.
-    on_left_out : callable, optional
-        Called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`.
-    on_remark : callable, optional
-        Called with what no run can tell, see `missionsim.runs.admit.unchanging`.
+    settings : Settings, optional
 
     Raises
     ------
@@ -93,14 +83,9 @@ def diagnose_files(
         from missionsim.inputs.loading import load_mission
 
         timeline = simulate(load_mission(mission, robot=spec)).timeline
-    subject = Subject.of(spec)
-    split, tables, left_out = read_split(spec, logs, holdout)
-    if on_left_out is not None:
-        on_left_out(left_out)
-    if on_remark is not None:
-        on_remark(unchanging(tables))
-    settings = Settings(alpha=alpha, align=align)
-    return diagnose(subject, split, timeline=timeline, battery=battery, settings=settings)
+    split = read_split(spec, logs, holdout)
+    found = diagnose(Subject.of(spec), split, timeline=timeline, battery=battery, settings=settings)
+    return replace(found, left_out=split.left_out, remarks=tuple(unchanging(split.given)))
 
 
 def diagnose(
@@ -126,7 +111,7 @@ def diagnose(
     settings : Settings, optional
     """
     settings = settings or Settings()
-    split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.model)
+    split = logs if isinstance(logs, Split) else choose_split(logs, holdout)
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
     if battery is not None and battery not in measured:
         raise InputError.unknown(f"no log measures the battery '{battery}'", battery, measured)

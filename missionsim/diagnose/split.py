@@ -24,7 +24,6 @@ from missionsim.runs.drive import filled
 from missionsim.runs.run import Bounded, Run
 
 if TYPE_CHECKING:
-    from missionsim.effects.model import PowerModel
     from missionsim.inputs.robot import RobotSpec
 
 BEYOND_SD = 2.0
@@ -42,45 +41,42 @@ class Split:
     shifted: bool = False
     """Whether they were chosen by a condition, so that they differ in kind."""
     left_out: tuple[str, ...] = ()
-    """Runs of other files that were to be held out and test nothing, one line each."""
+    """Runs that are neither, one line each with why."""
+    given: tuple[Run, ...] = ()
+    """Of the files that were given, those among which they were chosen."""
 
 
 def read_split(
     robot: RobotSpec, logs: Sequence[str | Path], holdout: str | Sequence[str | Path] | None = None
-) -> tuple[Split, list[Run], list[str]]:
-    """Runs of some logs to fit and to test on, those among which they were chosen, and in words what was left out."""
-    from missionsim.inputs.power import build_power_model
-
-    model = build_power_model(robot)
-    runs, left_out = read_runs(robot, model, logs)
-    split = choose_split(runs, holdout, model)
-    return split, runs, [*left_out, *split.left_out]
+) -> Split:
+    """Runs of some logs to fit and to test on; see `choose_split`."""
+    runs, left_out = read_runs(robot, logs)
+    split = choose_split(runs, holdout)
+    return replace(split, left_out=(*left_out, *split.left_out), given=tuple(runs))
 
 
-def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
+def read_runs(robot: RobotSpec, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
     """The runs of some logs that a robot may learn from, and in words what was left out."""
+    from missionsim.inputs.power import build_power_model
     from missionsim.logs import Remark, read_logs
 
     bounded = Bounded()
     refused: list[str] = []
     read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded, left_out=refused))
-    runs, left_out = admit(read, model)
+    runs, left_out = admit(read, build_power_model(robot))
     if averaged:
         note = Remark("averaged", "time_s", averaged, "shorter rows tell no more", "note")
         runs[0] = replace(runs[0], remarks=(*runs[0].remarks, note))
     return runs, [*left_out, *refused]
 
 
-def choose_split(
-    logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None, model: PowerModel | None = None
-) -> Split:
+def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None) -> Split:
     """Split runs into those that are fitted and those that are held out.
 
     `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
     a condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files and
-    folders of other logs. By default the last quarter of four or more runs. `model`: of the robot, against which it is
-    seen that another log is in other units. Raises InputError: for a value that is none of these, a condition that no
-    run or every run meets, unknown runs, other logs of which none can be tested on.
+    folders of other logs. By default the last quarter of four or more runs. Raises InputError: for a value that is none
+    of these, a condition that no run or every run meets, unknown runs, other logs of which none can be tested on.
     """
     logs = tuple(logs)
     if holdout is None:
@@ -94,7 +90,7 @@ def choose_split(
         return _last(logs, 0.25)
     parts = [str(holdout)] if isinstance(holdout, (str, Path)) else [str(item) for item in holdout]
     if all(Path(part).exists() for part in parts):
-        return _files(logs, parts, model)
+        return _files(logs, parts)
     text = ",".join(parts)
     number = "0" if text.strip().lower() == "none" else text.strip()
     try:
@@ -156,7 +152,7 @@ def _texts(column: object) -> set[str]:
     return {(*column.names, "")[code] for code in np.unique(column.codes)} if isinstance(column, Labels) else set()
 
 
-def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) -> Split:
+def _files(logs: tuple[Run, ...], parts: list[str]) -> Split:
     from missionsim.logs import read_logs
 
     bounded = Bounded()

@@ -315,6 +315,10 @@ class Diagnosis:
     batteries: Mapping[str, BatteryDiagnosis]
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Batteries that were measured but could not be diagnosed, and why."""
+    left_out: tuple[str, ...] = ()
+    """Runs that nothing was learnt from, and why."""
+    remarks: tuple[str, ...] = ()
+    """What no run can tell."""
 
     def to_json(self) -> Json:
         """The contract's ``missionsim.diagnosis/1``."""
@@ -323,4 +327,5 @@ class Diagnosis:
             "robot": self.robot,
             "batteries": {name: battery.to_json() for name, battery in self.batteries.items()},
             "skipped": dict(self.skipped),
+            "left_out": list(self.left_out),
         }
