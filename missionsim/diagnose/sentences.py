@@ -219,14 +219,12 @@ def errors(battery: BatteryDiagnosis) -> str:
             return ""
         before, after = map(watts, law.left_out_rmse_w)
         return f"On {battery.parts} left out one at a time, the power error falls from {before} to {after}."
-    given, base, with_it = bars_of(battery.heldout)
+    given, base, with_it, *_ = bars = bars_of(battery.heldout, battery.proposed_laws)
     if law is None and not battery.effects:
         return base_note(given, base)
-    energy_pct, rmse_w = with_it.energy_error_pct, with_it.power_rmse_w
-    if law is not None and law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
-        energy_pct, rmse_w = law.heldout_energy_pct[1], law.heldout_rmse_w[1]
+    rmse_w = bars[-1].power_rmse_w
     was, alone, now = watts(given.power_rmse_w), watts(base.power_rmse_w), f"{watts(rmse_w)} with it"
-    energies = [given.energy_error_pct, energy_pct]
+    energies = [given.energy_error_pct, bars[-1].energy_error_pct]
     if rmse_w != with_it.power_rmse_w and battery.effects:
         named = _listed([effect.effect for effect in battery.effects])
         now = f"{watts(with_it.power_rmse_w)} with {named}, {watts(rmse_w)} with the law as well"

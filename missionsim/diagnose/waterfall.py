@@ -14,6 +14,7 @@ from missionsim.numerals import rounded, watts
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
     from missionsim.identify.findings import BatteryDiagnosis, HeldOut
+    from missionsim.identify.proposed import Proposal
 
 SEEN = 0.5
 """A rise by less than this part of the noise floor is not worth a note."""
@@ -38,9 +39,11 @@ class Step(NamedTuple):
     power_rmse_w: float
 
 
-def bars_of(held: HeldOut) -> list[Step]:
-    """Errors on held-out runs as bars: of the file as it is, recalibrated, with the effects."""
-    return [Step(kind, error_pct, held.power_rmse_w[kind]) for kind, error_pct in held.energy_error_pct.items()]
+def bars_of(held: HeldOut, laws: Sequence[Proposal] = ()) -> list[Step]:
+    """Errors on held-out runs as bars: of the file as it is, recalibrated, with the effects, with the first law too."""
+    bars = [Step(kind, error_pct, held.power_rmse_w[kind]) for kind, error_pct in held.energy_error_pct.items()]
+    errors = [(law.heldout_energy_pct, law.heldout_rmse_w) for law in laws[:1]]
+    return bars + [Step("with_law", pct[1], watts[1]) for pct, watts in errors if pct is not None and watts is not None]
 
 
 def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
@@ -106,9 +109,7 @@ def unseen_note(battery: BatteryDiagnosis) -> str:
     empty. Nothing may be called complete then."""
     if battery.heldout is None:
         return ""
-    left_pct = min(battery.heldout.energy_error_pct.values())
-    if battery.proposed_laws and battery.proposed_laws[0].heldout_energy_pct is not None:
-        left_pct = min(left_pct, battery.proposed_laws[0].heldout_energy_pct[1])
+    left_pct = min(bar.energy_error_pct for bar in bars_of(battery.heldout, battery.proposed_laws))
     floor_pct = noise_floor(battery)[0]
     if left_pct <= SEVERAL * floor_pct * math.sqrt(1.0 + 1.0 / max(len(battery.runs), 1)):
         return ""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 
 from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
-from missionsim.diagnose.waterfall import unseen_note
+from missionsim.diagnose.waterfall import bars_of, unseen_note
 from missionsim.effects.library import get_effect
 from missionsim.errors import InputError
 from missionsim.identify.findings import AT_BOUND, BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
@@ -120,9 +121,9 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         told = [f"{name} {by.replace('-', '−')}" for name, by in shifted]
         lines += [("BASE", f"{said}: {', '.join(told)}")] if told else []
     tested = [held for held in (battery.heldout, battery.shifted) if held is not None]
-    first = next(iter(battery.proposed_laws), None)
+    laws = battery.proposed_laws
     lines += [
-        ("HELD-OUT", heldout_line(held, bool(battery.effects), first if held is battery.heldout else None))
+        ("HELD-OUT", heldout_line(held, bool(battery.effects), laws if held is battery.heldout else ()))
         for held in tested
     ]
     if battery.heldout is None:
@@ -214,19 +215,16 @@ def next_line(experiment: Experiment) -> str:
     )
 
 
-def heldout_line(heldout: HeldOut, found: bool = True, law: Proposal | None = None) -> str:
+def heldout_line(heldout: HeldOut, found: bool = True, laws: Sequence[Proposal] = ()) -> str:
     """Errors on held-out runs; with `found`, those with the effects as well, and those with a law that is proposed."""
     kind = "other conditions" if heldout.shifted else "same kind"
-    energies, powers = [*heldout.energy_error_pct.values()], [*heldout.power_rmse_w.values()]
-    of = ["", " (recalibrated)", " (with the effects)"]
-    if not found:
-        del energies[2:], powers[2:], of[2:]
-    if law is not None and law.heldout_energy_pct is not None and law.heldout_rmse_w is not None:
-        energies.append(law.heldout_energy_pct[1])
-        powers.append(law.heldout_rmse_w[1])
-        of.append(" (with the law as well)" if found else " (with the law)")
-    energy = " → ".join(f"{pct:.2f}{' %' * (at == len(of) - 1)}{of[at]}" for at, pct in enumerate(energies))
-    return f"{heldout.how} ({kind}): energy error {energy}; power RMSE {' → '.join(map(rounded, powers))} W"
+    of = {"nominal": "", "recalibrated": " (recalibrated)", "with_effects": " (with the effects)"}
+    of["with_law"] = " (with the law as well)" if found else " (with the law)"
+    *bars, last = [bar for bar in bars_of(heldout, laws) if found or bar.name != "with_effects"]
+    energies = [f"{bar.energy_error_pct:.2f}{of[bar.name]}" for bar in bars]
+    energy = " → ".join([*energies, f"{last.energy_error_pct:.2f} %{of[last.name]}"])
+    power = " → ".join(rounded(bar.power_rmse_w) for bar in (*bars, last))
+    return f"{heldout.how} ({kind}): energy error {energy}; power RMSE {power} W"
 
 
 def _execution(effect: Finding) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.sentences import Asked
-from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor, unseen_note
+from missionsim.diagnose.waterfall import bars_of, energy_note, measured_note, power_of_floor, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import plain, state, unit_of
 from missionsim.numerals import rounded, watts
@@ -66,14 +66,12 @@ def _result(battery: BatteryDiagnosis, asked: Asked | None, several: bool) -> li
         share, half = 100 * battery.proposed_laws[0].energy_share, 196 * battery.proposed_laws[0].share_sd
         cards.append(("How much", f"{share:.1f} % of the energy", f"95 %: {share - half:.1f} to {share + half:.1f} %"))
     if battery.heldout is not None:
-        before, after = battery.heldout.power_rmse_w["nominal"], battery.heldout.power_rmse_w["with_effects"]
-        e = battery.heldout.energy_error_pct
-        energy = f"energy {e['nominal']:.2f} → {e['with_effects']:.2f} %; recalibrated only {e['recalibrated']:.2f} %"
-        for law in battery.proposed_laws[:1]:
-            if law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
-                after = law.heldout_rmse_w[1]
-                energy = f"with the law; energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
-        cards.append(("Power error, runs not used", f"{rounded(before)} → {watts(after)}", energy))
+        first, base, *_, last = bars_of(battery.heldout, battery.proposed_laws)
+        energy = f"energy {first.energy_error_pct:.2f} → {last.energy_error_pct:.2f} %"
+        told = f"{energy}; recalibrated only {base.energy_error_pct:.2f} %"
+        told = f"with the law; {energy}" if last.name == "with_law" else told
+        power = f"{rounded(first.power_rmse_w)} → {watts(last.power_rmse_w)}"
+        cards.append(("Power error, runs not used", power, told))
     drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
     cards.append(("Mean power", f"{watts(battery.mean_power_w)}", drives))
     said = [told for told in (sentences.sure(battery), sentences.errors(battery)) if told]
@@ -230,16 +228,13 @@ def _details(battery: BatteryDiagnosis) -> list[web.Block]:
         blocks.append(_alike(battery))
     if battery.heldout is not None:
         models = {"nominal": "robot file", "recalibrated": "recalibrated", "with_effects": "with what was found"}
+        models["with_law"] = "with the law as well"
         rows = [
-            [held.how, text, f"{held.energy_error_pct[kind]:.2f}", rounded(held.power_rmse_w[kind])]
-            for held in (battery.heldout, battery.shifted)
+            [held.how, models[bar.name], f"{bar.energy_error_pct:.2f}", rounded(bar.power_rmse_w)]
+            for held, laws in ((battery.heldout, battery.proposed_laws), (battery.shifted, ()))
             if held is not None
-            for kind, text in models.items()
+            for bar in bars_of(held, laws)
         ]
-        for law in battery.proposed_laws[:1]:
-            if law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
-                of_law = f"{law.heldout_energy_pct[1]:.2f}", rounded(law.heldout_rmse_w[1])
-                rows.insert(len(models), [battery.heldout.how, "with the law as well", *of_law])
         columns = ["held-out runs", "model", "energy error, %", "power error (RMS), W"]
         blocks.append(web.Table(columns, rows, "Errors on runs that were not used to fit", 3))
     if battery.remarks:

@@ -271,11 +271,11 @@ def test_errors_with_the_effects_and_with_a_law_beside_them_are_told_apart() -> 
     assert "is 1.20 W with grade, 0.900 W with the law as well (energy 4.60 → 1.20 → 1.10 %)" in told
     assert "is 1.20 W with it (energy 4.60 → 1.20 %)" in sentences.errors(BATTERY)
     assert BATTERY.heldout is not None
-    line = words.heldout_line(BATTERY.heldout, law=law)  # type: ignore[arg-type]
+    line = words.heldout_line(BATTERY.heldout, laws=[law])  # type: ignore[arg-type]
     assert line.endswith(
         "→ 1.20 (with the effects) → 1.10 % (with the law as well); power RMSE 4.60 → 2.70 → 1.20 → 0.900 W"
     )
-    alone = words.heldout_line(BATTERY.heldout, False, law)  # type: ignore[arg-type]
+    alone = words.heldout_line(BATTERY.heldout, False, [law])  # type: ignore[arg-type]
     assert alone.endswith("(recalibrated) → 1.10 % (with the law); power RMSE 4.60 → 2.70 → 0.900 W")
 
 
