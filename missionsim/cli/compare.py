@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
@@ -149,8 +150,6 @@ def calibrate(
     tables, left_out = admit(read_logs(list(logs), left_out=refused), given)
     left_out += refused
     tell_left_out(left_out, to)
-    fits: list[ModelFit]
-    remarks: list[str]
     if new is not None and base is not None:
         measured = {name for log in tables for name in log.power_w}
         battery = battery or (measured.pop() if len(measured) == 1 else "robot")
@@ -161,12 +160,10 @@ def calibrate(
         if odd:
             tell_left_out(odd, to)
             made, left_out = calibrate_new(wanted, tables), [*left_out, *odd]
-        text, fits, remarks = made.text, [made.fit], list(made.remarks)
     else:
-        again = refit_robot(str(robot), tables, battery)
-        text, fits, remarks = again.text, list(again.fits), list(again.remarks)
-    remarks = [*describe(tables), *remarks]
-    write_text(out, text)
+        made = refit_robot(str(robot), tables, battery)
+    fits, remarks = made.fits, [*describe(tables), *made.remarks]
+    write_text(out, made.text)
     made_of = {"robot_file": str(out), "batteries": {fit.battery: fit.to_json() for fit in fits}}
     to.emit({"schema": "missionsim.calibration/1", **made_of, "remarks": remarks, "left_out": left_out})
     if to.text:
@@ -174,7 +171,7 @@ def calibrate(
     return 1 if left_out else 0
 
 
-def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
+def _print(fits: Sequence[ModelFit], remarks: list[str], out: Path) -> None:
     terminal = console()
     for fit in fits:
         rows = []

@@ -14,7 +14,7 @@ from missionsim.cli.run import clock
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.overrides import split_assignment, value_of
 from missionsim.numerals import in_wh, rounded
-from missionsim.report.terminal import console, show_table, simple_table, titled
+from missionsim.report.terminal import console, show_table, signed, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import TABLES, write_table
 from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Task, compare_alternatives
@@ -180,13 +180,12 @@ def show(found: WhatIf) -> None:
         if not row["batteries"]:
             cells.append([label, *["–"] * (2 + 3 * len(found.batteries)), "impossible"])
             continue
-        line: list[Any] = [label, clock(row["duration_s"]), signed(row["difference_s"], 1)]
+        line: list[Any] = [label, clock(row["duration_s"]), signed(row["difference_s"], 1, none=True)]
         kept = [label]
         for name in found.batteries:
             b = row["batteries"][name]
             percent = b["difference_pct"]
-            line += [in_wh(b["energy_wh"]), signed(b["difference_wh"], 3)]
-            line.append("–" if percent is None else signed(percent, 1))
+            line += [in_wh(b["energy_wh"]), signed(b["difference_wh"], 3, none=True), signed(percent, 1, none=True)]
             if b["charge_left_wh"] is None:
                 kept += ["–"] * 3
             else:
@@ -212,12 +211,7 @@ def show(found: WhatIf) -> None:
             if abs(difference) > 5e-7
         ]
         changes.sort(key=lambda change: -abs(change[0]))
-        text = ", ".join(f"{battery}/{term} {signed(d, 4)}" for d, battery, term in changes[:MOST_TERMS])
+        text = ", ".join(f"{battery}/{term} {signed(d, 4, none=True)}" for d, battery, term in changes[:MOST_TERMS])
         if row["batteries"]:
             terms.append((f"{number} {row['name']}", text or "nothing changes"))
     show_table("Terms that change most [Wh]", ["alternative", "battery/term"], terms)
-
-
-def signed(value: float, digits: int) -> str:
-    """A difference with its sign; a dash where it rounds to nothing."""
-    return "–" if round(value, digits) == 0.0 else f"{value:+.{digits}f}".replace("-", "−")

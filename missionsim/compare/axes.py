@@ -160,7 +160,7 @@ class NumberAxis(_Axis):
             last -= 1
         found = []
         for begin, end in itertools.pairwise([0, *range(first + 1, last + 1), len(cells)]):
-            low, high = (_rounded(int(edge) * width) for edge in (cells[begin], cells[end - 1] + 1))
+            low, high = (float(f"{int(edge) * width:.10g}") + 0.0 for edge in (cells[begin], cells[end - 1] + 1))
             named = f"{low:.10g} to {high:.10g}".replace("-", "−")
             found.append(Bin(named, low, high, *totals[:, begin:end].sum(axis=1).tolist()))
         return found
@@ -217,10 +217,6 @@ def _by_cell(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> tuple[ND
         )
     met = np.flatnonzero(np.bincount(cells + 1)[1:])
     return met, {key: f64(np.bincount(cells + 1, values))[1 + met] for key, values in weights.items()}
-
-
-def _rounded(number: float) -> float:
-    return float(f"{number:.10g}") + 0.0
 
 
 def _natural(name: str) -> tuple[int, float, str]:

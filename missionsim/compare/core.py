@@ -295,7 +295,7 @@ def _battery(
             for one, own in zip(found.values(), map(error_curve, *every), strict=True)
         ),
         error_statistics=error_statistics(curve),
-        error_statistics_predicted=error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
+        error_statistics_predicted=error_statistics(error_curve(measured, predicted, "predicted")),
         progress=grid,
         error_curve_pct=curve,
         dependences=tuple(dependences(sums, battery)),
@@ -334,5 +334,5 @@ def _mission(
         (replayed - total) / 3600.0,
         schemes,
         error_statistics(error_curve(measured, predicted)),
-        error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
+        error_statistics(error_curve(measured, predicted, "predicted")),
     )

@@ -150,12 +150,6 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     return f"with {plain(name)}" if beside else plain(name)
 
 
-def _one_in(count: float) -> str:
-    """Two digits, rounded down: nothing is surer than it is."""
-    unit = 10 ** max(0, math.floor(math.log10(count)) - 1)
-    return f"one case in {math.floor(count / unit) * unit:,}"
-
-
 def sure(battery: BatteryDiagnosis) -> str:
     """How sure the first answer is, and what speaks for it."""
     first = next(iter(battery.effects), None)
@@ -164,7 +158,10 @@ def sure(battery: BatteryDiagnosis) -> str:
     if first is not None:
         least = max(battery.effects, key=lambda effect: effect.p_value)
         p = least.p_value
-        odds = _one_in(1.0 / p) if p >= 1e-6 else "less than one case in a million"
+        odds = "less than one case in a million"
+        if p >= 1e-6:  # two digits, rounded down: nothing is surer than it is
+            unit = 10 ** max(0, math.floor(math.log10(1.0 / p)) - 1)
+            odds = f"one case in {math.floor(1.0 / p / unit) * unit:,}"
         odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
         held = battery.heldout
         if doubt := "see the runs not used" if held is not None and rises(bars_of(held))[0] else first.doubt:

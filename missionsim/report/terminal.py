@@ -54,9 +54,10 @@ def show_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[objec
     console().print(simple_table(title, columns, rows))
 
 
-def signed(value: float | None, decimals: int | None = None) -> str:
-    """A number with its sign, so many decimals or else three significant digits; a dash where there is none."""
-    if value is None or not math.isfinite(value):
+def signed(value: float | None, decimals: int | None = None, *, none: bool = False) -> str:
+    """A number with its sign, so many decimals or else three significant digits; a dash where there is none, and with
+    `none` where it rounds to nothing."""
+    if value is None or not math.isfinite(value) or (none and round(value, decimals) == 0.0):
         return "–"
-    value = round(value, 4) + 0.0  # adding zero makes a negative zero positive
+    value = round(value, 4 if decimals is None else decimals) + 0.0  # zero added makes a negative zero positive
     return rounded(value, sign=True) if decimals is None else f"{value:+.{decimals}f}".replace("-", "−")

@@ -60,8 +60,8 @@ class RunError:
 
     @property
     def energy_error_pct(self) -> float:
-        """``100 (model − measured) / measured`` [%]."""
-        return relative_error_pct(self.model_j, self.measured_j)
+        """``100 (model − measured) / measured`` [%]; NaN where nothing was measured."""
+        return 100.0 * (self.model_j - self.measured_j) / self.measured_j if self.measured_j != 0.0 else math.nan
 
     @property
     def power_rmse_w(self) -> float:
@@ -129,8 +129,6 @@ class ErrorStatistics:
     mean_pct: float
     std_pct: float
     """These: largest, last, mean and standard deviation of ``|error|``."""
-    relative_to: str = "measured"
-    """``measured`` or ``predicted``."""
 
     def to_json(self) -> Json:
         """The four numbers."""
@@ -162,7 +160,7 @@ def error_curve(
     return np.asarray(np.where(known, 100.0 * (predicted - measured) / np.where(known, reference, 1.0), np.nan))
 
 
-def error_statistics(curve: Array, relative_to: str = "measured") -> ErrorStatistics:
+def error_statistics(curve: Array) -> ErrorStatistics:
     """Peak, final, mean and standard deviation (of the population) of the magnitude of an error curve.
 
     `curve` (shape (n,)): signed error over equally spaced progress [%]; NaN are left out.
@@ -172,9 +170,4 @@ def error_statistics(curve: Array, relative_to: str = "measured") -> ErrorStatis
     known = np.abs(curve[np.isfinite(curve)])
     if known.size == 0:
         known = np.full(1, np.nan)
-    return ErrorStatistics(float(known.max()), float(known[-1]), float(known.mean()), float(known.std()), relative_to)
-
-
-def relative_error_pct(model: float, measured: float) -> float:
-    """``100 (model − measured) / measured`` [%]; NaN where nothing was measured."""
-    return 100.0 * (model - measured) / measured if measured != 0.0 else float("nan")
+    return ErrorStatistics(float(known.max()), float(known[-1]), float(known.mean()), float(known.std()))

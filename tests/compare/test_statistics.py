@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid, relative_error_pct
+from missionsim.runs.error import RunError, cumulative_at, error_curve, error_statistics, progress_grid
 
 
 def test_statistics_of_a_curve_worked_out_by_hand() -> None:
@@ -20,7 +20,7 @@ def test_error_is_model_minus_measured_relative_to_either() -> None:
     measured, predicted = np.array([2.0, 4.0]), np.array([1.0, 3.0])
     assert error_curve(measured, predicted).tolist() == [-50.0, -25.0]
     assert error_curve(measured, predicted, "predicted") == pytest.approx([-100.0, -100.0 / 3.0])
-    assert relative_error_pct(3.0, 4.0) == -25.0
+    assert RunError("", 1.0, 4.0, 3.0, 0.0).energy_error_pct == -25.0
 
 
 def test_curve_is_undefined_where_nothing_was_measured() -> None:
