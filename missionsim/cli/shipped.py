@@ -23,15 +23,12 @@ effects_app = App(
 
 def _describe(id: str) -> dict[str, Any]:
     from missionsim.effects.library import get_effect
+    from missionsim.runs.covariates import logged_name
 
     family, _, name = id.partition(":")
     effect = get_effect(f"{family}:{name.strip('<>')}" if name else id, surfaces=("<surface>",))
     # what a log must have for its covariates; clocks and acceleration follow from that
-    columns = {}
-    for need in effect.needs:
-        columns[need] = "speed_m_s" if need in ("moving_time_s", "starts", "starts_per_s", "accel_m_s2") else need
-        if need.startswith("on_time_"):
-            columns[need] = f"on_{need.removeprefix('on_time_').removesuffix('_s')}"
+    columns = {need: logged_name(need) for need in effect.needs}
     needs, derived = list(dict.fromkeys(columns.values())), [need for need, column in columns.items() if column != need]
     if name.startswith("<"):
         needs, derived = ([text.replace(name.strip("<>"), name) for text in texts] for texts in (needs, derived))

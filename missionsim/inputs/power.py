@@ -14,7 +14,6 @@ from missionsim.effects.base import Effect, ParameterSpec
 from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.named_models import get_motion_model, law_models
-from missionsim.errors import InputError
 from missionsim.expressions import Place, compile_expression
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
 from missionsim.inputs.values import Parameter
@@ -128,16 +127,9 @@ def _converted(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, 
     }
 
 
-def _complete(
-    what: str, given: dict[str, ModelParameter], specs: tuple[ParameterSpec, ...]
-) -> dict[str, ModelParameter]:
-    """Parameters with the defaults of those that are left out; a fault for those that have none."""
-    missing = [spec.name for spec in specs if spec.name not in given and spec.required]
-    unknown = [name for name in given if name not in {spec.name for spec in specs}]
-    if missing or unknown:
-        told = [f"parameter '{n}' is missing" for n in missing] + [f"parameter '{n}' is not known" for n in unknown]
-        allowed = ", ".join(f"{spec.name} ({spec.unit})" for spec in specs)
-        raise InputError.single(f"{what}: {'; '.join(told)}", got=", ".join(given), allowed=allowed)
+def _complete(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...]) -> dict[str, ModelParameter]:
+    """Parameters, which were checked as the file was read, with the defaults of those that are left out."""
+    given = _converted(parameters, specs)
     defaults = {
         spec.name: ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, "assumed", "default")
         for spec in specs
@@ -192,7 +184,7 @@ def _load(
     assert law is not None  # the file was checked: a load has either
     if law.model is not None:
         model = law_models()[law.model]
-        given = _complete(f"component '{name}'", _converted(law.parameters, model.parameters), model.parameters)
+        given = _complete(law.parameters, model.parameters)
         column = "" if component.always_on else f"on_{name}"
         effect = base_terms.load_term(
             "law", name, model.equation, "robot file", "by its law", model.parameters, model.power, column, model.needs
@@ -244,6 +236,6 @@ def _effects(robot: RobotSpec) -> Iterator[Term]:
         if effect.execution:
             continue
         label = spec.name or effect.id
-        parameters = _complete(f"effect '{label}'", _converted(spec.parameters, effect.parameters), effect.parameters)
+        parameters = _complete(spec.parameters, effect.parameters)
         names = {name: f"{label}.{name}" for name in parameters}
         yield Term(TermKey(spec.battery, effect.component, label), effect, parameters, names, base=False)
