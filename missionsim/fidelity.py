@@ -190,6 +190,9 @@ class AutoFidelity:
         fresh = level.name not in model.tables
         energy = model.energy(level, speed_m_s, freq_hz)
         if fresh:
-            # an exponential average
-            self._seconds[level.name] += 0.3 * (time.perf_counter() - start - self._seconds[level.name])
+            self.observe(level, time.perf_counter() - start)
         return energy, level, kept
+
+    def observe(self, level: Fidelity, seconds: float) -> None:
+        """Take note of a time that a level took (exponential average)."""
+        self._seconds[level.name] += 0.3 * (seconds - self._seconds[level.name])
