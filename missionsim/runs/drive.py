@@ -351,15 +351,12 @@ class _Carry:
                 cov[clock][:stretch] += self._clocks[clock]
             self._on[name] = bool(on[-1])
             self._clocks[clock] = float(cov[clock][-1] + 0.5 * block.dt_s[-1]) if on[-1] else 0.0
-        for name, (term, _) in self._plan.model.lags.items():
-            if term.key.battery in self._plan.batteries:
-                self._carry_lag(name, cov)
+        model, time_s = self._plan.model, cov["time_s"]
+        for name in (name for name, (term, _) in model.lags.items() if term.key.battery in self._plan.batteries):
+            past = self._lags.get(name)
+            signal = np.broadcast_to(np.asarray(model.lagging(name, cov, {}), dtype=float), time_s.shape)
+            late = lagged(signal, time_s, float(model.time_constant(name, {})), past)
+            self._lags[name] = time_s[-1], signal[-1], late[-1]
+            if past is not None:  # in the first block the formula sees to it, whatever its parameters
+                cov[name] = late
         return cov
-
-    def _carry_lag(self, name: str, cov: dict[str, Any]) -> None:
-        model, time_s, before = self._plan.model, cov["time_s"], self._lags.get(name)
-        signal = np.broadcast_to(np.asarray(model.lagging(name, cov, {}), dtype=float), time_s.shape)
-        late = lagged(signal, time_s, float(model.time_constant(name, {})), before)
-        self._lags[name] = time_s[-1], signal[-1], late[-1]
-        if before is not None:  # in the first block the formula sees to it, whatever its parameters
-            cov[name] = late
