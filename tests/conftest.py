@@ -34,6 +34,13 @@ def shared() -> Path:
     return SHARED
 
 
+@pytest.fixture
+def effects_alone(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No search for laws, which takes half of a diagnosis and begins when effects have been named; studies keep it."""
+    if request.node.get_closest_marker("study") is None:
+        monkeypatch.setattr("missionsim.diagnose.diagnosis.propose", lambda *_: None)
+
+
 def pytest_configure() -> None:
     """Examples repeat, and no test is judged by a busy clock; HYPOTHESIS_PROFILE=default searches anew."""
     from hypothesis import settings

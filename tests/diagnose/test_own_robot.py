@@ -106,6 +106,7 @@ def test_calibrating_again_tells_what_counts_twice(tmp_path: Path) -> None:
     assert again.fits[0].parameters["c3"].sd < math.hypot(old.sd, 0.03 * old.value)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) -> None:
     logs = [with_payload(drive(seed, seconds=300.0, scrub_w_s_rad=5.0), 2.0 if seed > 1 else 0.0) for seed in range(5)]
     made = calibrate_new(NewRobot("own", BASE, mass="20 kg"), logs)
@@ -128,6 +129,7 @@ def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) 
     assert error["after"].power_rmse_w < 0.9 * error["before"].power_rmse_w
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_two_effects_go_in_together_with_the_numbers_that_the_diagnosis_names() -> None:
     logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
     text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")
@@ -141,6 +143,7 @@ def test_two_effects_go_in_together_with_the_numbers_that_the_diagnosis_names() 
     assert alone.effect.parameters["k"].value == pytest.approx(together["payload"], rel=1e-6)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_improve_lowers_the_error_of_a_calibrated_robot() -> None:
     logs = [drive(seed, seconds=300.0, scrub_w_s_rad=6.0) for seed in range(6)]
     made = calibrate_new(NewRobot("own", BASE), logs)
@@ -193,6 +196,7 @@ def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
     assert (fit.delay_s, fit.lag_s) == (0.0, 0.0)
 
 
+@pytest.mark.usefixtures("effects_alone")
 @pytest.mark.parametrize(("runs", "newtons", "named"), [(1, 60.0, False), (3, 60.0, True), (6, 20.0, True)])
 def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
     runs: int, newtons: float, named: bool
@@ -209,6 +213,7 @@ def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
     assert ("warming up" in refused.get("cold_friction", "")) is not named
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
     logs = []
     for seed in range(6):
@@ -226,6 +231,7 @@ def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
         assert told.startswith("Sure") is not doubted
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     logs = []
     for seed in range(10):
@@ -242,6 +248,7 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect() -> None:
     """The file has half of the power; inertia beside it is found with its size and alone."""
     text, logs = robot_text("pioneer3dx"), []
@@ -276,6 +283,7 @@ def test_a_base_that_only_made_up_for_a_law_is_not_called_far_from_right() -> No
     assert max(abs(one.shift) for one in found.recalibration) < 0.1
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []
     for seed in range(5):
@@ -298,6 +306,7 @@ def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyP
     assert robot_from_text(done.text).motion.parameters["c2"].value > 1.5 * 6.25
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_held_out_runs_without_the_column_of_what_was_added_do_not_test_it() -> None:
     logs = [with_payload(drive(seed, seconds=240.0), 2.0 * (seed % 2)) for seed in range(6)]
     blind = replace(logs[4], columns={n: x for n, x in logs[4].columns.items() if n != "payload_kg"})
@@ -325,6 +334,7 @@ def test_one_run_repeats_nothing() -> None:
     assert "each run" not in sure(named)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_so() -> None:
     logs = [drive(seed, seconds=300.0) for seed in range(5)]
     text = robot_text("pioneer3dx").replace("{value: 9.79,", "{value: 7.4,")
@@ -359,6 +369,7 @@ def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypa
     assert done.steps[-2].power_rmse_w < 0.4 * done.steps[1].power_rmse_w
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
     text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")

@@ -119,6 +119,7 @@ def test_the_floor_of_the_base_is_the_one_that_costs_least_however_short_its_run
     assert told == pytest.approx(expected, abs=0.4)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     """One level, of the floor that scrubs most, was all that stood out: 2.3 % in place of 0.4."""
     scrub = (2.0, 3.0, 6.0, 1.0, 4.0)

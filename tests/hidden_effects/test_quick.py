@@ -31,6 +31,10 @@ def study(*values: str) -> list[Any]:
     return [pytest.param(value, marks=pytest.mark.study) for value in values]
 
 
+EFFECTS = pytest.mark.usefixtures("effects_alone")
+"""Of tests that a law could not decide; where nothing is hidden, none may be proposed."""
+
+
 @pytest.mark.parametrize("robot", ["pioneer3dx", *study("small_rover", "husky_like")])
 def test_nothing_hidden_names_nothing(robot):
     result = row(f"nothing-{robot}-level2", 0)
@@ -41,6 +45,7 @@ def test_nothing_hidden_names_nothing(robot):
 FIVE = ["grade", *study("surface_rolling_resistance", "acceleration", "cpu_load")]
 
 
+@EFFECTS
 @pytest.mark.parametrize("effect", FIVE)
 def test_five_percent_of_the_energy_is_found_and_the_heldout_error_falls_as_far_as_it_can(effect):
     result = row(f"{effect}-5pct")
@@ -51,35 +56,43 @@ def test_five_percent_of_the_energy_is_found_and_the_heldout_error_falls_as_far_
     assert result["nominal_rmse_w"] ** 2 - result["rmse_w"] ** 2 > 0.8 * removable
 
 
+@EFFECTS
 def test_oil_that_thickens_exponentially_brings_no_second_name():
     assert row("temperature_friction-5pct", 42)["named"] == "temperature_friction"
 
 
+@EFFECTS
 def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
     assert row("component_power-kinect-2pct", 0)["named"] == "component_power:kinect"
 
 
+@EFFECTS
 def test_what_stands_in_for_a_plan_that_is_not_kept_is_not_named() -> None:
     """Copper loss comes in, and its form is not right: what decides against it is that judgement."""
     assert row("execution-dwell-3pct", 1010)["named"] == "dwell"
 
 
+@EFFECTS
 def test_surges_that_the_clock_without_them_had_smeared_are_named():
     assert row("start_surge-2pct", 1010)["named"] == "start_surge"
 
 
+@EFFECTS
 def test_a_surge_acts_on_ramps_and_its_form_is_judged_with_them():
     assert row("start_surge-5pct", 1013)["named"] == "start_surge"
 
 
+@EFFECTS
 def test_a_payload_that_the_noise_took_for_runs_that_differ_is_named_beside_what_was_louder():
     assert row("two-start_surge-payload", 1010)["all_named"]
 
 
+@EFFECTS
 def test_what_recalibration_takes_of_an_effect_is_no_other_form_of_it():
     assert row("two-rolling_friction-turning_scrub", 1010)["all_named"]
 
 
+@EFFECTS
 def test_what_is_too_small_at_a_glance_takes_no_place_from_what_is_not(tmp_path):
     folder = write(make(ALL_CASES["mixed-payload-highspeed"], 1010), tmp_path)
     assert diagnose(folder / "train", folder / "heldout", "pioneer3dx")[0].names == ("payload",)
@@ -92,6 +105,7 @@ def test_two_effects_are_both_named():
     assert not result["confident_wrong"], result
 
 
+@EFFECTS
 @pytest.mark.parametrize("truth", ["payload", *study("surface_rolling_resistance")])
 def test_payload_only_on_carpet_cannot_be_told_apart_until_the_proposed_experiment_is_driven(truth):
     result = row(f"confounded-carpet_payload-{truth}")
@@ -107,6 +121,7 @@ def test_what_no_library_holds_is_not_named(what):
     assert not result["confident_wrong"], result
 
 
+@EFFECTS
 @pytest.mark.parametrize("variant", ["energy", "two-runs"])
 def test_other_meters_and_few_runs(variant):
     result = row(f"turning_scrub-5pct-{variant}")
@@ -114,6 +129,7 @@ def test_other_meters_and_few_runs(variant):
     assert not result["confident_wrong"], result
 
 
+@EFFECTS
 @pytest.mark.parametrize("name", ["dwell", *study("path_stretch", "speed_tracking")])
 def test_behaviour_effects_are_found_from_the_plan_and_the_motion(name):
     result = row(f"execution-{name}-8pct")
@@ -144,6 +160,7 @@ def test_table_is_written_whole(root: Path, tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
+@EFFECTS
 def test_practice_folders_are_scored_by_the_same_command(shared: Path, tmp_path):
     case = shared / "practice" / "grade-5pct"
     (tmp_path / case.name / "train").mkdir(parents=True)

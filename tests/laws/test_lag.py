@@ -75,6 +75,12 @@ def test_a_load_with_a_memory_is_found_written_and_simulated(
         assert run_command(["compare", "--robot", name, "later", "--json", "compared.json", "--quiet"]) == 0
         errors[name] = json.loads(Path("compared.json").read_text())["batteries"]["main"]["power_rmse_w"]
     assert errors["better.yaml"] < 0.25 * errors["rover.yaml"]
+    # the law that diagnose proposes, with the size and the error that it promises
+    (promised,) = json.loads(Path("found.json").read_text())["batteries"]["main"]["first"]["proposed_laws"]
+    assert promised["forms"][0]["formula"] == effect["power"]
+    k = promised["forms"][0]["parameters"]["k"]["value"]
+    assert k == pytest.approx(effect["parameters"]["k"]["value"], rel=0.01)
+    assert promised["heldout_rmse_w"]["after"] == pytest.approx(errors["better.yaml"], rel=1e-4)
 
 
 def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:

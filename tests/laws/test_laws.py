@@ -146,18 +146,16 @@ def test_a_band_that_lies_elsewhere_is_not_called_right(hidden: tuple[Path, Path
     assert held_by_band("v_w_m", hidden[3], moved) < 0.1
 
 
-def test_add_effect_and_improve_write_the_law_that_is_proposed_and_run_uses_it(
+def test_add_effect_writes_the_law_that_is_proposed_and_run_uses_it(
     hidden: tuple[Path, Path, dict[str, Any], Made], tmp_path: Path, root: Path
 ) -> None:
+    """That improve does so too is decided where a load has a memory, in `test_lag.py`."""
     train, heldout, report, _ = hidden
     formula = report["proposed_laws"][0]["forms"][0]["formula"]
-    robot, improved, told = (tmp_path / name for name in ("law.yaml", "improved.yaml", "told.json"))
+    robot, told = (tmp_path / name for name in ("law.yaml", "told.json"))
     logs = ["--robot", "pioneer3dx", str(train), "--holdout", "none", "--quiet"]
     assert main(["add-effect", "--formula", "1", *logs, "--out", str(robot), "--json", str(told)]) == 0
-    assert main(["improve", "--yes", *logs, "--out", str(improved)]) == 0
-    one, other = (robot_from_text(path.read_text(encoding="utf-8")).effects[-1] for path in (robot, improved))
-    assert str(one.power) == str(other.power) == formula
-    assert one.parameters["k"].value == pytest.approx(other.parameters["k"].value, rel=0.01)
+    assert str(robot_from_text(robot.read_text(encoding="utf-8")).effects[-1].power) == formula
     made = json.loads(told.read_text(encoding="utf-8"))
     k = made["parameters"]["k"]
     assert k["low"] < k["value"] < k["high"]
@@ -165,12 +163,11 @@ def test_add_effect_and_improve_write_the_law_that_is_proposed_and_run_uses_it(
     assert k == pytest.approx(report["proposed_laws"][0]["forms"][0]["parameters"]["k"])
     assert made["energy_share"] == pytest.approx(report["proposed_laws"][0]["energy_share"])
     errors = []
-    for file in ("pioneer3dx", str(robot), str(improved)):
+    for file in ("pioneer3dx", str(robot)):
         out = tmp_path / "compare.json"
         assert main(["compare", "--robot", file, str(heldout), "--json", str(out), "--quiet"]) == 0
         errors.append(json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]["power_rmse_w"])
     assert errors[1] < 0.6 * errors[0]
-    assert errors[2] == pytest.approx(report["proposed_laws"][0]["heldout_rmse_w"]["after"], rel=1e-4)
     mission = root / "missions" / "pioneer3dx" / "valve_patrol.yaml"
     result = tmp_path / "run.json"
     assert main(["run", str(mission), "--robot", str(robot), "--json", str(result), "--quiet"]) in (0, 1)

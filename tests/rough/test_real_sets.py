@@ -128,6 +128,7 @@ def test_each_of_the_warthogs_drives_is_predicted_from_the_others(warthog: list[
     as_well_as_least_squares(np.array(errors))
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called_sure(shared: Path) -> None:
     """A base that lacks what turning costs falls with the speed: what bends it back is a curve, and no friction."""
     split = split_of(shared / "data" / "husky_floors")

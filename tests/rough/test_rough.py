@@ -30,6 +30,7 @@ def driven(kind: str, seed: int, folder: Path):
     return improve(made.text, split, "robot", Settings(), lambda finding, diagnosis: True)
 
 
+@pytest.mark.usefixtures("effects_alone")
 @pytest.mark.parametrize("kind", ["scrub"])
 def test_the_right_effect_comes_first_and_the_error_falls(kind: str, tmp_path: Path) -> None:
     found = driven(kind, 0, tmp_path)

@@ -129,6 +129,7 @@ def test_what_validate_refuses_is_left_out(runs: list[Run]) -> None:
     assert "3.6 times the path" in line
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_the_command_says_it_first_and_exits_with_one(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -119,6 +119,7 @@ def test_calibrate_tells_the_errors_that_compare_measures(answers: dict[str, Any
     assert fit["rmse_before_w"] == pytest.approx(answers["uncalibrated"]["power_rmse_w"], rel=1e-6)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_all_agree_on_what_a_log_may_lack(tmp_path: Path) -> None:
     """A robot with grade, logs without slope: level ground for all of them."""
     robot = BASE + (
@@ -134,6 +135,7 @@ def test_all_agree_on_what_a_log_may_lack(tmp_path: Path) -> None:
     assert run("improve", *arguments, "--yes", "--out", tmp_path / "improved.yaml") in (0, 1)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_one_log_of_a_few_rows_among_good_ones(tmp_path: Path) -> None:
     (tmp_path / "skid.yaml").write_text(BASE, encoding="utf-8")
     skid_logs(tmp_path / "logs", 5, 200)
@@ -160,6 +162,7 @@ def test_speed_tracking_of_compare_and_of_the_diagnosis(root: Path, tmp_path: Pa
             assert one["speed_tracking"] == pytest.approx(ratio, rel=1e-6)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_after_calibrate_improve_takes_its_step_also_with_collinear_parameters(tmp_path: Path) -> None:
     """drag_coefficient and frontal_area act as their product alone: one is fitted, and told."""
     skid_logs(tmp_path / "logs", 6)
