@@ -38,7 +38,7 @@ def shared() -> Path:
 def effects_alone(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """No search for laws, which takes half of a diagnosis and begins when effects have been named; studies keep it."""
     if request.node.get_closest_marker("study") is None:
-        monkeypatch.setattr("missionsim.diagnose.diagnosis.propose", lambda *_: None)
+        monkeypatch.setattr("missionsim.diagnose.examine.propose", lambda *_: None)
 
 
 def pytest_configure() -> None:

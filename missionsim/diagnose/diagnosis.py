@@ -27,7 +27,6 @@ from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, H
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
-from missionsim.laws.proposal import propose
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
@@ -261,7 +260,7 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     proposed: tuple[Proposal, ...] = ()
     if laws and found.factor is None:
-        made = propose(found, features.covariates)
+        made = seen.law()
         proposed = () if made is None else (made,)
         if features.unlogged:
             # loads that nobody logged look like a law of time, temperature or processor load, never like one of motion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,9 @@ from missionsim.fit.provenance import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.design import TooShortError
 from missionsim.identify.identification import Identification, identify, refutes
+from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import FEWEST_INTERVALS, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
+from missionsim.laws.proposal import propose
 from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -124,6 +126,23 @@ class Examined:
     found: Identification
     models: Models
     held: tuple[Run, ...]
+    priors: Mapping[str, float]
+    """Of the base parameters, as the search began with them."""
+    _laws: list[Proposal | None] = field(default_factory=list, repr=False, compare=False)
+
+    def law(self) -> Proposal | None:
+        """The law that the identification lacks; it is looked for once."""
+        if not self._laws:
+            self._laws.append(propose(self.found, self.features.covariates))
+        return self._laws[0]
+
+    def known_as(self, subject: Subject, split: Split) -> Examined | None:
+        """What `examine` would give for the same robot file on the same logs, at the clock that they show; None where
+        other things are known of its base beside these logs."""
+        if _priors_of(subject, self.features, split.train) != self.priors:
+            return None
+        clock = self.found.choice.model.clock
+        return replace(self, models=replace(self.models, power=subject.model, clock=clock, _fits={}))
 
 
 def examine(subject: Subject, split: Split, battery: str, settings: Settings, clock: Clock | None = None) -> Examined:
@@ -147,6 +166,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
 
     try:
         features, found = identified(subject, features)
+        priors = features.prior_sd
         if found.base_doubtful(settings) and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
             free, other = identified(subject.unknown(), features)
             if refutes(other, found):  # held near the file, the base would leave its part to the effects
@@ -185,4 +205,4 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
         remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
     models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
     features = replace(features, remarks=(*features.remarks, *remarks))
-    return Examined(features, found, models, tuple(log for log in held if log.run not in untested))
+    return Examined(features, found, models, tuple(log for log in held if log.run not in untested), priors)

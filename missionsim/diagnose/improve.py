@@ -10,7 +10,7 @@ from pathlib import Path
 
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.examine import NO_PRIOR_SD, Subject, examine, prior_before
+from missionsim.diagnose.examine import NO_PRIOR_SD, Examined, Subject, examine, prior_before
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
@@ -140,8 +140,9 @@ class State:
     given: str
     """The file as it was given, with the laws as candidates."""
     models: Models
+    seen: Examined
     last: BatteryDiagnosis
-    """Of `text`."""
+    """Both: of `text`."""
     taken: tuple[Finding, ...] = ()
 
     def believed(self) -> Models:
@@ -280,8 +281,9 @@ class Rounds:
         added = {t.name_of(name): NO_PRIOR_SD for t in model.of(self.battery) if not t.base for name in t.parameters}
         again = Subject.of(made, model, priors={**added, **self.priors})
         tried = {name for name, n in self.nothing.items() if n > 1} | {*self.declined}
-        last = diagnose_battery(again, self.split, self.battery, None, self.settings, clock=models.clock, tried=tried)
-        self.state = State(text, given, models, last, tuple(effects))
+        seen = examine(again, self.split, self.battery, self.settings, models.clock)
+        last = diagnose_battery(again, self.split, self.battery, None, self.settings, seen=seen, tried=tried)
+        self.state = State(text, given, models, seen, last, tuple(effects))
 
 
 def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:
@@ -313,11 +315,12 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     if seen.features.given_sd:  # refuted
         priors = dict.fromkeys(priors, NO_PRIOR_SD)
     first = diagnose_battery(start, split, battery, None, settings, seen=seen)
-    rounds = Rounds(State(text, text, seen.models, first), split, battery, settings, ask, priors)
+    rounds = Rounds(State(text, text, seen.models, seen, first), split, battery, settings, ask, priors)
     end = rounds.best()
     text, models, last, taken = end.text, end.models, end.last, end.taken
     if taken:  # what `diagnose` says of the file: it knows nothing of the base beside these logs
-        last = diagnose_battery(Subject.of(robot_from_text(text)), split, battery, None, settings)
+        made = Subject.of(robot_from_text(text))
+        last = diagnose_battery(made, split, battery, None, settings, seen=end.seen.known_as(made, split))
     added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(heldout, added, start.model.batteries, models.runs)

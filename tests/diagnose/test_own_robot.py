@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from missionsim.fit.final import final_fit
 from missionsim.fit.provenance import data_tag
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Estimate, Finding
+from missionsim.identify.identification import identify
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
@@ -144,13 +146,22 @@ def test_two_effects_go_in_together_with_the_numbers_that_the_diagnosis_names() 
 
 
 @pytest.mark.usefixtures("effects_alone")
-def test_improve_lowers_the_error_of_a_calibrated_robot() -> None:
+def test_improve_lowers_the_error_of_a_calibrated_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is known of its base beside these logs, so that the file that is made is examined once."""
+    examined: list[Any] = []
+    monkeypatch.setattr(
+        "missionsim.diagnose.examine.identify", lambda *args: examined.append(identify(*args)) or examined[-1]
+    )
     logs = [drive(seed, seconds=300.0, scrub_w_s_rad=6.0) for seed in range(6)]
     made = calibrate_new(NewRobot("own", BASE), logs)
-    done = improve(made.text, Split(tuple(logs[:5]), (logs[5],), "last"), BATTERY, Settings(), lambda *_: True)
+    split = Split(tuple(logs[:5]), (logs[5],), "last")
+    done = improve(made.text, split, BATTERY, Settings(), lambda *_: True)
     assert done.added == ("turning_scrub",)
     steps = {step.name: step.power_rmse_w for step in done.steps}
     assert steps["+ turning_scrub"] < 0.5 * steps["recalibrated"]
+    assert len(examined) == 2
+    found = diagnose_battery(Subject.of(robot_from_text(done.text)), split, BATTERY, None, Settings())
+    assert json.dumps(done.last.to_json()) == json.dumps(found.to_json())
 
 
 def test_what_is_drawn_at_rest_is_never_written_below_nought() -> None:
@@ -361,7 +372,7 @@ def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypa
     def hidden(*args: Any, **named: Any) -> BatteryDiagnosis:
         """As if what the law draws drowned the payload."""
         found = diagnose_battery(*args, **named)
-        return found if named.get("seen") is None else replace(found, effects=())
+        return found if "tried" in named else replace(found, effects=())
 
     monkeypatch.setattr("missionsim.diagnose.improve.diagnose_battery", hidden)
     done = improve(text, split, BATTERY, Settings(), lambda *_: True)
@@ -378,9 +389,9 @@ def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monk
 
     def late(*args: Any, **named: Any) -> BatteryDiagnosis:
         """As if drag, of which there is none, had been named too."""
-        found = diagnose_battery(*args, **named)
+        found, later = diagnose_battery(*args, **named), bool(tried)
         tried.append({*named.get("tried", ())})
-        if named.get("seen") is None:
+        if later:
             return replace(found, effects=() if tried[-1] else tuple(more), proposed_laws=())
         drag = replace(found.effects[0], effect="aerodynamic_drag", parameters={"k": Estimate(1e-6, -0.1, 0.1, "kg/m")})
         drag = replace(drag, energy_share=1e-6, share_low=-0.01, share_high=0.01)

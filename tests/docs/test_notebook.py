@@ -14,6 +14,7 @@ import missionsim
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")

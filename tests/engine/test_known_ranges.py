@@ -39,6 +39,7 @@ schemes:
 """
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_a_slope_beyond_the_logs_is_told(tmp_path: Path) -> None:
     logs = str(ROOT / "docs" / "examples" / "ramp_runs")
     robot = tmp_path / "graded.yaml"
