@@ -73,11 +73,11 @@ def test_what_the_parts_of_a_drive_are_predicted_as_well_without_is_not_named(wa
     assert reach >= (k.high - k.low) / k.value * (1.0 - 1e-9)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_what_improve_says_is_left_is_what_diagnose_says_of_its_file(root: Path, tmp_path: Path) -> None:
     """It held the base by what was known before these logs, which no command can know of the file that it wrote."""
     runs = root / "docs" / "examples" / "ramp_runs"
     split = choose_split(read_logs([runs]))
-    # without the law that makes up for what the library's form lacks
     made = improve(robot_text("pioneer3dx"), split, "robot", Settings(), lambda one, _: one.effect == "grade")
     found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
     assert json.dumps(made.last.to_json()) == json.dumps(found.to_json())
