@@ -227,8 +227,8 @@ def _judged(
         else:
             best = max(tried, key=lambda e: e.gain, default=None)
             reason = "adds nothing beyond what is in the model" if best is None else refusal(best)
-        # the shape that would be seen first: smaller than that nothing of the effect is seen
-        limit = min((float(limits[k]) for k in own), default=math.inf)
+        # the shape that would be seen first: smaller than that nothing of the effect is seen; levels are all there
+        limit = (max if candidate.levels else min)((float(limits[k]) for k in own), default=math.inf)
         # what is there by every test but that of runs it was not fitted to, one of which may be spoilt, is not excluded
         doubtable = {"runs", "energy"}
         if choice.forward is not None and choice.forward.halves(number, choice.model.chosen):

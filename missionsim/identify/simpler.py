@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -139,11 +140,15 @@ def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> b
     """Whether a steady drift over the runs, in their order, of a load or of one parameter of the base predicts left-out
     runs as well as some columns, beside others.
 
-    Loads that grow with every trip, or the trips of a day that gets warmer, are in the order of the runs.
+    Loads that grow with every trip, or the trips of a day that gets warmer, are in the order of the runs. Names that
+    begin with a floor or a load are sorted by it and not by time, so that the order is that of names that begin alike.
     """
     if len(design.runs) <= SEVERAL_RUNS:
         return False
-    order = np.linspace(-1.0, 1.0, len(design.runs))[design.run_index()]
+    begin = [re.split(r"\d", name, maxsplit=1)[0] for name in design.names]
+    alike = [np.flatnonzero([other == own for other in begin]) for own in begin]
+    place = [2.0 * np.searchsorted(runs, j) - len(runs) + 1.0 for j, runs in enumerate(alike)]
+    order = (np.array(place) / max(1.0, *place))[design.run_index()]
     drifts = order * np.vstack([np.ones_like(order), design.gradient[: len(design.layout.parameters)]])
     squares = LeastSquares.of(replace(design, phi=np.vstack([design.phi, drifts])))
     with_it, without = squares.leave_out([*rest, *own]), squares.leave_out(rest)

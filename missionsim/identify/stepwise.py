@@ -44,9 +44,11 @@ def choose(source: Source) -> Choice:
             break
         found, source = step, step.model.source
     found = with_what_runs_differ_by(with_levels(found))
-    offset = found.model.noise.offset_w > USUAL_GAIN * source.layout.mean_power_w
-    if len(source.runs) > SEVERAL_RUNS and (offset or low_frequency_noise(found.model) is not None):
-        # of a column that is noisy or late, offsets of runs and a noise as slow as it is take what it says
+    noise = found.model.noise
+    apart = noise.offset_w > USUAL_GAIN * source.layout.mean_power_w or noise.motion_gain > UNUSUAL_GAIN
+    if len(source.runs) > SEVERAL_RUNS and (apart or low_frequency_noise(found.model) is not None):
+        # of a column that is noisy or late, or constant in runs, what runs differ by and a noise as slow as it is take
+        # what it says
         selected = forward(source, near=True)
         if selected is not None and selected.stands(found.model):
             return _by_prediction(source, selected)

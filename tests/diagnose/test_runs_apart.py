@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,19 @@ def test_floors_are_compared_beside_the_base_as_it_is_with_what_was_found(
     made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="9 kg"), logs)
     found = diagnose_runs(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
     assert [effect.effect for effect in found.effects] == ["turning_scrub", "surface_rolling_resistance"][:names]
+
+
+def test_floors_and_the_cold_are_both_found_where_the_noise_had_taken_them_for_runs_that_differ() -> None:
+    logs = []
+    for i, log in enumerate([*on_floors((0.5, 2.0, 6.0, 0.0, 3.5), 30), *on_floors((0.5, 2.0, 6.0, 0.0, 3.5), 31)]):
+        temp_c = round(float(np.random.default_rng([7, 300 + i]).normal(15.0, 8.0)), 1)
+        cold_w = 0.3 * max(25.0 - temp_c, 0.0) * log.columns["speed_m_s"]
+        made = drawing(log, log.power_w["robot"] + cold_w, temp_ambient_c=np.full(log.rows, temp_c))
+        logs.append(replace(made, run=f"run{i:02d}"))
+    own = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="9 kg"), logs)
+    found = diagnose_runs(Subject.of(robot_from_text(own.text)), logs, holdout="none").batteries["robot"]
+    assert {effect.effect for effect in found.effects} == {"temperature_friction", "surface_rolling_resistance"}
+    assert found.unexplained.shape == ""
 
 
 def test_floors_that_cost_less_than_the_base_knows_take_no_dear_one_with_them() -> None:

@@ -60,3 +60,11 @@ def test_three_runs_have_no_drift_that_could_be_told_from_anything() -> None:
     assert drifts_as_well(model.design, [payload], [])
     few = diagnosed(loaded(MORE_EACH_TIME, 4.0)[::6]).choice.model
     assert not drifts_as_well(few.design, [payload], [])
+
+
+def test_names_that_begin_with_what_was_loaded_tell_no_order_of_the_day() -> None:
+    """Sorted by name, the heavy runs stand before the light ones whenever they were driven."""
+    model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model
+    payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
+    names = tuple(f"{load}_{j}" for load in ("none", "some", "very") for j in range(COUNT // 3))
+    assert not drifts_as_well(replace(model.design, names=names), [payload], [])
