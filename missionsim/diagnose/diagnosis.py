@@ -270,7 +270,7 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
         if found.choice.forward is not None and {e.effect for e in found.effects} - {*tried}:
             # where the base is far from right, effects that predict come first, unless a law predicts far better, or
             # better in the place of one of them
-            proposed = tuple(law for law in proposed if law.far_better or law.instead_of)
+            proposed = tuple(law for law in proposed if law.far_better or law.takes_over)
     stood_in = {name for law in proposed for name in law.instead_of}
     effects = tuple(effect for effect in found.effects if effect.effect not in stood_in)
     if found.choice.forward is not None and effects and proposed:

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from missionsim.files import Json
 from missionsim.glossary import column_of
+from missionsim.identify.settings import AS_MUCH
 from missionsim.numerals import rounded
 from missionsim.runs.covariates import known
 
@@ -144,6 +145,12 @@ class Proposal:
         """Whether runs that are left out are predicted with an error smaller by a third than without it."""
         before, after = self.left_out_rmse_w
         return after < FAR_BETTER * before
+
+    @property
+    def takes_over(self) -> bool:
+        """Whether it takes a tenth off the squared error of left-out runs in the place of effects that stood in for it."""
+        before, after = self.left_out_rmse_w
+        return bool(self.instead_of) and after**2 < AS_MUCH * before**2
 
     @property
     def open(self) -> bool:

@@ -134,7 +134,9 @@ def test_the_clock_seen_beside_what_was_added(seen: tuple[float, float], taken_s
 def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_tried(
     monkeypatch: pytest.MonkeyPatch, tried: tuple[str, ...], laws: int
 ) -> None:
-    law = SimpleNamespace(far_better=False, instead_of=("grade",), first=SimpleNamespace(low=1.0, high=2.0))
+    law = SimpleNamespace(
+        far_better=False, takes_over=False, instead_of=("grade",), first=SimpleNamespace(low=1.0, high=2.0)
+    )
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(

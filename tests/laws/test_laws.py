@@ -208,6 +208,14 @@ def law(**changes: Any) -> Proposal:
     return Proposal(**(plain | changes))
 
 
+@pytest.mark.parametrize(
+    ("after_w", "effects", "takes"),
+    [(1.89, ("turning_scrub",), True), (1.91, ("turning_scrub",), False), (1.0, (), False)],
+)
+def test_a_law_that_takes_over_predicts_clearly_better(after_w: float, effects: tuple[str, ...], takes: bool) -> None:
+    assert law(left_out_rmse_w=(2.0, after_w), instead_of=effects).takes_over == takes
+
+
 @pytest.mark.parametrize(("nats", "told"), [(2.0, "2 forms fit alike"), (40.0, "come near, the last 40 nats behind")])
 def test_forms_far_behind_do_not_fit_alike(nats: float, told: str) -> None:
     first, other = law().laws
