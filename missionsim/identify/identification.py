@@ -12,7 +12,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95, estimated, pairs
-from missionsim.identify.evidence import smallest_detectable
+from missionsim.identify.evidence import cause_is_constant, smallest_detectable
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
 from missionsim.identify.forward import Choice
 from missionsim.identify.model import Model
@@ -169,7 +169,7 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
     return Identification(
         verdict=decide(effects, structures, unnamed, averages=averages),
         effects=effects,
-        candidates=_judged(choice, effects, unnamed, factor),
+        candidates=_judged(choice, effects, unnamed, factor, 0.0 if apart is None else apart.size_share),
         recalibration=tuple(
             Recalibrated(
                 parameter=name,
@@ -198,9 +198,10 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
 
 
 def _judged(
-    choice: Choice, effects: Sequence[Finding], unnamed: Sequence[str], factor: float | None
+    choice: Choice, effects: Sequence[Finding], unnamed: Sequence[str], factor: float | None, apart: float
 ) -> tuple[Judged, ...]:
-    """Every candidate with its reason and its detection limit."""
+    """Every candidate with its reason and its detection limit; `apart`: what the runs differ by, as nothing usual does,
+    in which a cause that is constant in runs may hide."""
     constraints = choice.model.constraints
     if choice.forward is None:
         limits = smallest_detectable(choice.model)
@@ -229,6 +230,8 @@ def _judged(
             reason = "adds nothing beyond what is in the model" if best is None else refusal(best)
         # the shape that would be seen first: smaller than that nothing of the effect is seen; levels are all there
         limit = (max if candidate.levels else min)((float(limits[k]) for k in own), default=math.inf)
+        if apart and own and cause_is_constant(choice.model, own[0]):
+            limit = max(limit, apart)
         # what is there by every test but that of runs it was not fitted to, one of which may be spoilt, is not excluded
         doubtable = {"runs", "energy"}
         if choice.forward is not None and choice.forward.halves(number, choice.model.chosen):

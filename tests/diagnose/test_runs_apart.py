@@ -176,6 +176,9 @@ def test_where_each_floor_was_driven_once_floor_and_run_are_one(floors: int) -> 
     found = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
     assert "what the same motion costs" in found.unexplained.shape
     assert ("it may be the floor: drive two of them once more" in found.unexplained.shape) == (floors == 6)
+    (apart,) = (s.size_share for s in found.unexplained.structures if s.covariate == "run")
+    (floor,) = (c for c in found.candidates if c.effect == "surface_rolling_resistance")
+    assert floor.smallest_detectable_share >= apart > 0.03  # the floors may differ by all that the runs do
 
 
 @pytest.mark.parametrize("seed", range(3))
