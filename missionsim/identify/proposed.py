@@ -148,7 +148,7 @@ class Proposal:
 
     @property
     def takes_over(self) -> bool:
-        """Whether it takes a tenth off the squared error of left-out runs in the place of effects that stood in for it."""
+        """Whether it takes a tenth off the squared error of left-out runs in the place of effects of the library."""
         before, after = self.left_out_rmse_w
         return bool(self.instead_of) and after**2 < AS_MUCH * before**2
 
