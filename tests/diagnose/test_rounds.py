@@ -46,7 +46,7 @@ def rounds(models: Told, seen: Sequence[Sequence[str]], clocks: Sequence[Clock |
     """Rounds in which the diagnoses name some effects, one tuple after another, and the fits are not made."""
     told = [replace(BATTERY, effects=named(*names)) for names in seen]
     told = [replace(one, clock=clock) for one, clock in zip(told, clocks or [None] * len(told), strict=True)]
-    start = State("file", "file", models, told.pop(0))  # type: ignore[arg-type]
+    start = State("file", "file", models, None, told.pop(0))  # type: ignore[arg-type]
     made = Rounds(start, None, "robot", None, lambda finding, diagnosis: True, {})  # type: ignore[arg-type]
 
     def settle(effects: Sequence[Finding], fitted: object) -> None:
