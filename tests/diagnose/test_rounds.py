@@ -142,9 +142,8 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     models = SimpleNamespace(
         of_all_braking=tuple, certain=lambda effects, *_: (effects, None), leaning=lambda effects, _: effects
     )
-    monkeypatch.setattr(diagnosis, "propose", lambda *_: law)
     monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
-    seen = SimpleNamespace(features=features, found=found, models=models, held=())
+    seen = SimpleNamespace(features=features, found=found, models=models, held=(), law=lambda: law)
     _, _, proposed, *_ = diagnosis.judged(seen, Settings(), True, tried)  # type: ignore[arg-type]
     assert len(proposed) == laws
 
