@@ -23,10 +23,21 @@ from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
-from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, Judged, RunSeries, Structure
+from missionsim.identify.estimates import Z95
+from missionsim.identify.findings import (
+    BatteryDiagnosis,
+    Diagnosis,
+    Finding,
+    HeldOut,
+    Judged,
+    Recalibrated,
+    RunSeries,
+    Structure,
+)
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
+from missionsim.laws.proposal import REPLACED
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
@@ -180,11 +191,10 @@ def diagnose_battery(
     # what remains with all that was named, and which parts of it are averages that say nothing of their own
     left, more = found.unexplained, list[Structure]()
     # beside what was found, a base within its priors was not far off: it had taken the part of what was missing
-    off = any(abs(one.shift_in_prior_sd) > settings.recalibration_limit for one in recalibration)
-    if features.given_sd and (off or not (effects or proposed)):
-        shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in recalibration[:MOST_SHIFTS])
-        far = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
-        more.append(Structure("", 0.0, 0.0, 0.0, far))
+    if features.given_sd and (
+        told := _far(recalibration, settings.recalibration_limit, alone=not (effects or proposed))
+    ):
+        more.append(Structure("", 0.0, 0.0, 0.0, told))
     if found.factor is None and not found.averages and (over := leftover(found, features.covariates)) is not None:
         more += [over] if over.covariate not in left.depends_on else []
     certain = [name for law in proposed for name in law.certain]
@@ -271,25 +281,47 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
             # where the base is far from right, effects that predict come first, unless a law predicts far better, or
             # better in the place of one of them
             proposed = tuple(law for law in proposed if law.far_better or law.takes_over)
-    stood_in = {name for law in proposed for name in law.instead_of}
-    effects = tuple(effect for effect in found.effects if effect.effect not in stood_in)
+    effects = tuple(e for e in found.effects if not any(e.effect in law.instead_of for law in proposed))
     if found.choice.forward is not None and effects and proposed:
         law = as_finding(proposed[0])
         effects = with_law(models, law.effect, law.effect).needed_beside(law, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
+    if effects and proposed:
+        # without the law they had taken a part of it: their sizes are those beside it, as `improve` writes them
+        law, was = as_finding(proposed[0]), {effect.effect: effect.energy_share for effect in effects}
+        beside = with_law(models, law.effect, law.effect)
+        while True:
+            (_, *told), _ = beside.certain([law, *effects])
+            faded = [e.effect for e in told if abs(e.energy_share) < REPLACED * abs(was[e.effect])]
+            effects = tuple(effect for effect in told if effect.effect not in faded)
+            proposed = tuple(replace(one, instead_of=(*one.instead_of, *faded)) for one in proposed)
+            if not faded:
+                break
+        fitted = models.fit(effects, fixed=True)
     effects = models.leaning(effects, fitted)
     written = [as_written(law, models, effects, held) for law in proposed]
     proposed = tuple(law for law, _ in written)
     if any(law.first.low <= 0.0 <= law.first.high for law in proposed):  # nothing beside the base, once both are fitted
         return judged(seen, settings, laws=False)
-    told = {effect.effect for effect in effects}
+    named, stood_in = {effect.effect for effect in effects}, {name for law in proposed for name in law.instead_of}
     candidates = []
     for one in found.candidates:
-        gone = STANDS_IN if one.effect in stood_in else NOTHING_LEFT if one.accepted and one.effect not in told else ""
+        gone = STANDS_IN if one.effect in stood_in else NOTHING_LEFT if one.accepted and one.effect not in named else ""
         candidates.append(replace(one, accepted=False, open=True, reason=gone) if gone else one)
     return Named(effects, tuple(candidates), proposed, fitted, written[0][1] if written else fitted)
+
+
+def _far(recalibration: Sequence[Recalibrated], limit: float, *, alone: bool) -> str:
+    """In words, that a base which these runs refute is off; else empty. `alone`: nothing else explains them."""
+    moved = [one for one in recalibration if abs(one.shift) > Z95 * one.shift_sd]
+    if any(abs(one.shift_in_prior_sd) > limit for one in moved):
+        shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in moved[:MOST_SHIFTS])
+        return f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
+    if not alone:
+        return ""
+    return "the base of the robot file does not describe these runs; which of its parameters is off they do not say"
 
 
 def _beside_law(effect: Finding, laws: Sequence[Proposal], candidates: Sequence[Candidate]) -> str:

@@ -13,7 +13,7 @@ from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import NO_PRIOR_SD, Examined, Subject, examine, prior_before
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import fed_note, straight_note
-from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
+from missionsim.diagnose.proposed import as_finding, law_name, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
 from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, unseen_note, worse_note
@@ -238,6 +238,9 @@ class Rounds:
         """Add a law, once the library has no more; whether one was left to try."""
         state, battery = self.state, self.battery
         offered = (p for p in state.last.proposed_laws if not p.open)
+        # what is left of the form of a law that went in is no law of its own, unless most of the error is
+        forms = {name.removesuffix("_again") for name in self.by_law}
+        offered = (p for p in offered if p.far_better or law_name(p.first.formula) not in forms)
         law = next((p for p in offered if p.first.formula not in {*self.declined, *self.nothing}), None)
         if law is None:
             return False

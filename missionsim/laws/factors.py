@@ -125,6 +125,8 @@ class _Builder:
         than = ">" if above else "<"
         step = (f"({name} {than} #)", f"[{symbol} {than} #]")
         self.family(name, *step, 1, levels, (), kind=kind, more=(1.0,))
+        bent = (f"max({ramps[0]}, 0)**1.5", f"({ramps[1]})₊^1.5")
+        self.family(name, *bent, 2, levels, (), kind=kind, more=(0.5,))
 
     def about_thresholds(self, name: str) -> None:
         """Parts above and below values that the runs hold; a temperature in degC has no zero of its own."""

@@ -144,7 +144,7 @@ def _propose(
     was, told = fitted.errors, all(seen.passed.values())
     # an effect that stands in for the law leaves it too little to show over a few runs
     fails = [gate for gate, passed in seen.passed.items() if not passed]
-    instead = _replaced(fitted, search.ground) if fails in ([], ["blocks"]) else ()
+    instead = _replaced(fitted, search) if fails in ([], ["blocks"]) else ()
     if instead:
         # what stood in for the law goes, and the law is looked for once more without it
         search = Search(search.ground.without(instead), grammar, memory)
@@ -155,10 +155,10 @@ def _propose(
         near, beside, fitted, seen = _judged(search, again)
         told = all(seen.passed.values())
     if told:
-        # what has the column of a refused effect is that effect; one whose form is in doubt may have this one, and
-        # watts of one of several like loads come with a factor that no converter has
+        # what has the column of a refused effect is that effect; one whose form is in doubt, or that it has replaced,
+        # may have this one, and watts of one of several like loads come with a factor that no converter has
         twin = _twin(fitted, search.ground, found)
-        told = twin in ("", *found.demoted) or twin.startswith(f"{LOGGED}:")
+        told = twin in ("", *found.demoted, *instead) or twin.startswith(f"{LOGGED}:")
     if not told:
         # what leads and fails may hide what holds
         lead = {*search.grammar.variables(near[0].form)} - {"speed_m_s"}
@@ -237,9 +237,10 @@ def _law(one: Scored, first: Scored, share: float, relative: float, search: Sear
     )
 
 
-def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
+def _replaced(fitted: Fitted, search: Search) -> tuple[str, ...]:
     """Effects that stood in for the law: with it they hardly act any more, or look like it, shrink, and predict runs
     that are left out no better beside it."""
+    ground = search.ground
     if not ground.chosen:
         return ()
     before, _ = ground.model.gram.coefficients(ground.chosen)
@@ -256,8 +257,11 @@ def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
             abs(float(ground.design.phi[k] @ law)) / float(np.linalg.norm(ground.design.phi[k])) for k in columns
         )
         if like > AKIN and now < SHRUNK * was:
-            less = left_out(ground.without((*out, name)).with_law(fitted.watts))
-            if less.with_law < NO_WORSE * fitted.errors.with_law:
+            alone = Search(ground.without((*out, name)), search.grammar, search.memory)
+            same = alone.fit(fitted.form)
+            # one law of one quantity: what bends an effect is another form alone
+            bent = alone.fit(alone.near(same, alone.sized([fitted.form]))[0].form, same.model.noise)
+            if min(same.errors.with_law, bent.errors.with_law) < NO_WORSE * fitted.errors.with_law:
                 out.append(name)
     return tuple(out)
 

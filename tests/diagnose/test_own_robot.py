@@ -294,6 +294,24 @@ def test_a_base_that_only_made_up_for_a_law_is_not_called_far_from_right() -> No
     assert max(abs(one.shift) for one in found.recalibration) < 0.1
 
 
+def test_a_law_of_what_an_effect_reads_takes_its_place() -> None:
+    """A fan and a clock that rises: `cpu_load` was named beside a law of cpu_load, at twice what all of it costs."""
+    logs = []
+    for seed in range(3):
+        log = drive(seed)
+        steps = np.random.default_rng(seed).choice([0.08, 0.12, 0.2, 0.35, 0.5, 0.7, 0.9], log.rows // 10 + 1)
+        load = np.repeat(steps, 10)[: log.rows]
+        power = log.power_w[BATTERY] + 16.0 * np.maximum(load - 0.15, 0.0) ** 1.3
+        logs.append(drawing(log, power, cpu_load=load))
+    subject = Subject.of(robot_from_text(robot_text("pioneer3dx")))
+    found = diagnose_battery(subject, Split(tuple(logs), (), ""), BATTERY, None, Settings())
+    assert [effect.effect for effect in found.effects] == []
+    (law,) = found.proposed_laws
+    assert (law.certain, law.instead_of) == (("cpu_load",), ("cpu_load",))
+    true_w = np.mean([16.0 * np.mean(np.maximum(log.columns["cpu_load"] - 0.15, 0.0) ** 1.3) for log in logs])
+    assert law.energy_share * found.mean_power_w == pytest.approx(true_w, rel=0.1)
+
+
 @pytest.mark.usefixtures("effects_alone")
 def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from missionsim.diagnose import diagnosis
+from missionsim.diagnose import diagnosis, improve
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
 from missionsim.effects.model import ModelParameter
 from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
-from missionsim.identify.findings import Estimate, Finding
+from missionsim.identify.findings import Estimate, Finding, Recalibrated
 from missionsim.identify.settings import Settings
 from tests.diagnose.test_words import BATTERY, GRADE
 
@@ -218,3 +218,68 @@ def test_beside_what_a_parameter_of_motion_falls_below_nothing_is_told_once(fall
     assert told[0].doubt.startswith("28 times")
     assert "standing" not in told[0].doubt
     assert told[1].doubt == ""
+
+
+@dataclass(frozen=True)
+class Formed:
+    """A law, as far as `judged` looks at it."""
+
+    instead_of: tuple[str, ...] = ()
+    first: Any = field(default_factory=lambda: SimpleNamespace(low=1.0, high=2.0), compare=False)
+
+
+@pytest.mark.parametrize(("part", "stays"), [(0.4, True), (0.3, False)])
+def test_the_size_of_an_effect_is_that_beside_the_law(
+    monkeypatch: pytest.MonkeyPatch, part: float, stays: bool
+) -> None:
+    """Alone it had taken the law's part: scrub of 28 % of the energy (12 to 44 %) where none was."""
+    (alone,) = named("scrub")
+    beside = replace(alone, energy_share=part * alone.energy_share)
+    law = Formed()
+    found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=(alone,), candidates=())
+    features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
+    models = SimpleNamespace(
+        of_all_braking=tuple,
+        certain=lambda effects, *_: (effects, "alone"),
+        leaning=lambda effects, _: effects,
+        fit=lambda effects, fixed: (effects, fixed),
+    )
+    finding = replace(GRADE, effect="k * v")
+    with_it = SimpleNamespace(certain=lambda effects: ((finding, *[beside] * (len(effects) - 1)), None))
+    monkeypatch.setattr(diagnosis, "as_finding", lambda _: finding)
+    monkeypatch.setattr(diagnosis, "with_law", lambda *_: with_it)
+    monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
+    seen = SimpleNamespace(features=features, found=found, models=models, held=(), law=lambda: law)
+    named_ = diagnosis.judged(seen, Settings())  # type: ignore[arg-type]
+    kept = (beside,) if stays else ()
+    assert (named_.effects, named_.fitted) == (kept, (kept, True))
+    assert named_.proposed == (Formed(() if stays else ("scrub",)),)
+
+
+@pytest.mark.parametrize(
+    ("shift_sd", "alone", "told"), [(0.2, False, "c4 +90 %"), (0.6, True, "do not say"), (0.6, False, "")]
+)
+def test_a_base_is_not_called_wrong_by_a_shift_that_may_be_none(shift_sd: float, alone: bool, told: str) -> None:
+    """Four runs whose payload grew with each: a right base was 'far from right: c3 +159 %', give or take 169."""
+    shift = Recalibrated(parameter="c4", shift=0.9, shift_sd=shift_sd, shift_in_prior_sd=30.0)
+    text = diagnosis._far([shift], 4.0, alone=alone)
+    assert told in text
+    assert bool(text) is bool(told)
+
+
+@pytest.mark.parametrize(
+    ("column", "left", "taken"), [("cpu_load", 0.9, ()), ("cpu_load", 0.5, ("asked",)), ("slope_rad", 0.9, ("asked",))]
+)
+def test_what_is_left_of_the_form_of_a_law_is_no_second_law(
+    monkeypatch: pytest.MonkeyPatch, column: str, left: float, taken: tuple[str, ...]
+) -> None:
+    """One bent curve of processor load went in as three laws."""
+    made, asked = rounds(Told({}), [()]), []
+    made.by_law.add("law_cpu_load_again")
+    formula = f"k * max({column}, 0)"
+    law = SimpleNamespace(first=SimpleNamespace(formula=formula), open=False, far_better=left < 2.0 / 3.0)
+    monkeypatch.setattr(improve, "as_finding", lambda _: GRADE)
+    made.state = replace(made.state, last=SimpleNamespace(proposed_laws=(law,)))  # type: ignore[arg-type]
+    made.ask = lambda finding, _: bool(asked.append("asked"))  # type: ignore[func-returns-value]
+    assert made.of_law() is bool(taken)
+    assert tuple(asked) == taken

@@ -276,18 +276,19 @@ def _plainest(
 
 
 @pytest.mark.parametrize(
-    ("now", "alike", "worse", "gone"),
+    ("now", "alike", "worse", "bent", "gone"),
     [
-        (0.066, 0.0, 1.5, True),  # a third of what it was: hardly acts any more
-        (0.075, 0.0, 1.005, False),
-        (0.145, 0.45, 1.005, True),  # shrunk, like the law, and not missed
-        (0.145, 0.45, 1.015, False),
-        (0.145, 0.35, 1.005, False),
-        (0.155, 0.45, 1.005, False),
+        (0.066, 0.0, 1.5, 1.5, True),  # a third of what it was: hardly acts any more
+        (0.075, 0.0, 1.005, 1.5, False),
+        (0.145, 0.45, 1.005, 1.5, True),  # shrunk, like the law, and not missed
+        (0.145, 0.45, 1.015, 1.5, False),
+        (0.145, 0.45, 1.5, 1.005, True),  # not missed beside another number in the law
+        (0.145, 0.35, 1.005, 1.5, False),
+        (0.155, 0.45, 1.005, 1.5, False),
     ],
 )
 def test_what_stood_in_for_a_law_goes(
-    monkeypatch: pytest.MonkeyPatch, now: float, alike: float, worse: float, gone: bool
+    monkeypatch: pytest.MonkeyPatch, now: float, alike: float, worse: float, bent: float, gone: bool
 ) -> None:
     """Turning scrub of 20 % beside a law that saturates with the turn rate."""
 
@@ -299,10 +300,18 @@ def test_what_stood_in_for_a_law_goes(
     law, other = np.eye(2)
     phi = (alike * law + np.sqrt(1.0 - alike**2) * other)[None]
     ground = SimpleNamespace(chosen=(0,), model=model(0.2), design=SimpleNamespace(phi=phi), held=(("scrub", (0,)),))
-    ground.without = lambda _: SimpleNamespace(with_law=lambda _: None)
-    monkeypatch.setattr(proposal, "left_out", lambda _: SimpleNamespace(with_law=worse))
-    fitted = SimpleNamespace(model=model(now, 0.3), watts=law, errors=SimpleNamespace(with_law=1.0))
-    assert proposal._replaced(fitted, ground) == (("scrub",) if gone else ())
+    ground.without = lambda _: None
+    near, errors = [SimpleNamespace(form=(1,))], {(0,): worse, (1,): bent}
+
+    def fit(form: tuple[int, ...], noise: None = None) -> SimpleNamespace:
+        own = SimpleNamespace(noise=None)
+        return SimpleNamespace(form=form, model=own, errors=SimpleNamespace(with_law=errors[form]))
+
+    alone = SimpleNamespace(fit=fit, near=lambda *_: near, sized=lambda forms: forms)
+    monkeypatch.setattr(proposal, "Search", lambda *_: alone)
+    fitted = SimpleNamespace(model=model(now, 0.3), watts=law, errors=SimpleNamespace(with_law=1.0), form=(0,))
+    search = SimpleNamespace(ground=ground, grammar=None, memory=False)
+    assert proposal._replaced(fitted, search) == (("scrub",) if gone else ())
 
 
 @pytest.mark.parametrize(
