@@ -39,4 +39,4 @@ def strange_floors(site: RobotAtSite, segments: Iterable[SegmentSpec] = ()) -> I
         message = f"floor '{floor}' costs no more than the base: nothing of robot '{robot.name}' names it"
         base = "floors on which the base holds stand in the robot's origin: {range: {surface: […]}}"
         allowed, hint = f"{', '.join(known)}; {base}", did_you_mean(floor, known)
-        yield document.fault(where, message, got=floor, allowed=allowed, hint=hint, severity="warning")
+        yield document.fault(where, message, got=floor, allowed=allowed, hint=hint, warning=True)

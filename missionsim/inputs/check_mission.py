@@ -373,5 +373,5 @@ def _unread(mission: MissionSpec) -> Iterator[Fault]:
                 effect = "grade" if setting == "slope" else "payload"
                 added = f"effects: [{{effect: {effect}, battery: …, parameters: {{k: …}}}}]"
                 advice = f"{added}, or the motion model traction"
-                yield document.fault(where, message, got=got, allowed=advice, severity="warning")
+                yield document.fault(where, message, got=got, allowed=advice, warning=True)
                 break

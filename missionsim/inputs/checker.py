@@ -24,21 +24,10 @@ class Checker:
         self.document = document
         self.faults: list[Fault] = []
 
-    def add(
-        self,
-        where: Where,
-        message: str,
-        got: str = "",
-        allowed: str = "",
-        hint: str = "",
-        *,
-        key: bool = False,
-        warning: bool = False,
-    ) -> None:
+    def add(self, where: Where, message: str, got: str = "", allowed: str = "", hint: str = "", **marks: bool) -> None:
         """One fault at a path of the file, unless that place was told to be faulty already."""
         if not self.document.is_faulty(where):
-            told = {"got": got, "allowed": allowed, "hint": hint, "severity": "warning" if warning else "error"}
-            self.faults.append(self.document.fault(where, message, key=key, **told))
+            self.faults.append(self.document.fault(where, message, got, allowed, hint, **marks))
 
     def known(
         self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False, message: str = ""

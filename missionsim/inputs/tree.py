@@ -10,7 +10,7 @@ import hashlib
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -154,16 +154,16 @@ class Document:
         self,
         path: Sequence[str | int],
         message: str,
-        *,
         got: str = "",
         allowed: str = "",
         hint: str = "",
+        *,
         key: bool = False,
-        severity: str = "error",
+        warning: bool = False,
     ) -> Fault:
         """A fault at `path`, in the file or, where the command line set the value, there."""
-        file, line, column, where = self.place(path, key=key)
-        return Fault(file, line, column, message, where, got, allowed, hint, severity)
+        fault = self.place(path, key=key).fault(message, got=got, allowed=allowed, hint=hint)
+        return replace(fault, severity="warning") if warning else fault
 
 
 def dotted(path: Sequence[str | int]) -> str:
