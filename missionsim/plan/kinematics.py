@@ -30,37 +30,6 @@ class Phases:
     (..., pieces, 3)."""
 
 
-def junction_speeds(
-    distance_m: ArrayLike,
-    limit_m_s: ArrayLike,
-    accel_m_s2: ArrayLike,
-    decel_m_s2: ArrayLike,
-    begin_m_s: ArrayLike = 0.0,
-    end_m_s: ArrayLike = 0.0,
-) -> Array:
-    """Highest speeds at the borders of the pieces of a run.
-
-    `distance_m`, `limit_m_s` (shape (..., pieces)): length and speed limit of each piece. `accel_m_s2`, `decel_m_s2`
-    (shape (...)): limits of speeding up and of braking, both positive. `begin_m_s`, `end_m_s` (shape (...)): speeds at
-    both ends; at rest by default. They must be reachable from each other. Gives an array of shape (..., pieces + 1):
-    speeds in m/s (forward and backward pass with ``v² + 2 a d``).
-    """
-    distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
-    accel, decel = np.asarray(accel_m_s2, float), np.asarray(decel_m_s2, float)
-    pieces = distance.shape[-1]
-    squares = np.zeros((*np.broadcast_shapes(distance.shape[:-1], accel.shape, decel.shape), pieces + 1))
-    ceiling = np.square(limit)
-    squares[..., 0], squares[..., -1] = np.square(begin_m_s), np.square(end_m_s)
-    squares[..., 1:-1] = np.minimum(ceiling[..., :-1], ceiling[..., 1:])
-    up = 2.0 * accel[..., None] * distance
-    down = 2.0 * decel[..., None] * distance
-    for i in range(1, pieces):
-        squares[..., i] = np.minimum(squares[..., i], squares[..., i - 1] + up[..., i - 1])
-    for i in range(pieces - 1, 0, -1):
-        squares[..., i] = np.minimum(squares[..., i], squares[..., i + 1] + down[..., i])
-    return np.asarray(np.sqrt(squares))
-
-
 def ramp_phases(
     distance_m: ArrayLike,
     limit_m_s: ArrayLike,
@@ -71,16 +40,26 @@ def ramp_phases(
 ) -> Phases:
     """Trapezoids and triangles of a run, from rest to rest or between given speeds.
 
-    `distance_m`, `limit_m_s`: shape (..., pieces); `accel_m_s2`, `decel_m_s2` (shape (...)): positive and finite;
-    `begin_m_s`, `end_m_s` (shape (...)): as for `junction_speeds`. Gives three phases a piece.
+    `distance_m`, `limit_m_s` (shape (..., pieces)): length and speed limit of each piece. `accel_m_s2`, `decel_m_s2`
+    (shape (...)): limits of speeding up and of braking, positive and finite. `begin_m_s`, `end_m_s` (shape (...)):
+    speeds at both ends; at rest by default. They must be reachable from each other. Gives three phases a piece.
 
     Inside a piece of length d from v0 to v1 the peak is ``v_p² = (2 a b d + b v0² + a v1²) / (a + b)``, cut at the
     limit; also for angles (rad, rad/s, rad/s²) of a turn on the spot.
     """
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
-    border = junction_speeds(distance, limit, accel_m_s2, decel_m_s2, begin_m_s, end_m_s)
-    accel = np.asarray(accel_m_s2, float)[..., None]
-    decel = np.asarray(decel_m_s2, float)[..., None]
+    accel, decel = (np.asarray(rate, float)[..., None] for rate in (accel_m_s2, decel_m_s2))
+    # highest squared speeds at the borders of the pieces: a pass forwards and one backwards with v² + 2 a d
+    pieces, shape = distance.shape[-1], np.broadcast_shapes(distance.shape[:-1], accel.shape[:-1], decel.shape[:-1])
+    squares, ceiling = np.zeros((*shape, pieces + 1)), np.square(limit)
+    squares[..., 0], squares[..., -1] = np.square(begin_m_s), np.square(end_m_s)
+    squares[..., 1:-1] = np.minimum(ceiling[..., :-1], ceiling[..., 1:])
+    up, down = 2.0 * accel * distance, 2.0 * decel * distance
+    for i in range(1, pieces):
+        squares[..., i] = np.minimum(squares[..., i], squares[..., i - 1] + up[..., i - 1])
+    for i in range(pieces - 1, 0, -1):
+        squares[..., i] = np.minimum(squares[..., i], squares[..., i + 1] + down[..., i])
+    border = np.sqrt(squares)
     before, after = border[..., :-1], border[..., 1:]
     free = np.sqrt(
         (2.0 * accel * decel * distance + decel * np.square(before) + accel * np.square(after)) / (accel + decel)
