@@ -183,29 +183,25 @@ CHART_THIN_SHARE = 0.0005
 
 
 @dataclass(frozen=True, kw_only=True)
-class Where:
+class Where(Bin):
     """Error within one value or range of one covariate."""
 
     by: str
     title: str
     unit: str
     """All three: covariate: its name, and for people."""
-    value: str
-    low: float | None
-    high: float | None
-    """Both: ends of a range in `unit`."""
     share_of_gap: float
     """Part of the sum of the magnitudes of the energy gaps of this covariate's values, 0 to 1."""
     share_of_squared_error: float
     """Part of the integral of the squared power error, 0 to 1."""
-    gap_wh: float
-    """Measured minus modelled energy; the values of one covariate add up to the battery's gap."""
-    bias_w: float
-    """Mean of model minus measured power."""
-    seconds: float
     explains: float
     """This value's part of what its covariate explains (`Dependence.explained`). It is shared out by time × |bias| ×
     |bias − overall bias|: values where the model is right, or as wrong as everywhere, get none of it."""
+
+    @property
+    def gap_wh(self) -> float:
+        """Measured minus modelled energy [Wh]; the values of one covariate add up to the battery's gap."""
+        return self.gap_j / 3600.0
 
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
@@ -276,17 +272,12 @@ def _dependence(by: str, title: str, unit: str, bins: Sequence[Bin], fine: Seque
     weight = sum(weights)
     values = tuple(
         Where(
+            **{name: getattr(one, name) for name in ("value", "low", "high", "seconds", "gap_j", "square_w2s")},
             by=by,
             title=title,
             unit=unit,
-            value=one.value,
-            low=one.low,
-            high=one.high,
             share_of_gap=abs(one.gap_j) / sizes if sizes > 0.0 else 0.0,
             share_of_squared_error=one.square_w2s / square if square > 0.0 else 0.0,
-            gap_wh=one.gap_j / 3600.0,
-            bias_w=one.bias_w,
-            seconds=one.seconds,
             explains=adjusted * own / weight if weight > 0.0 else 0.0,
         )
         for one, own in zip(bins, weights, strict=True)

@@ -137,7 +137,7 @@ def diagnose(
             skipped[name] = error
     if not done:
         raise next(iter(skipped.values()))
-    return Diagnosis(subject.name, done, {name: " ".join(str(e).split()) for name, e in skipped.items()})
+    return Diagnosis(subject.robot.name, done, {name: " ".join(str(e).split()) for name, e in skipped.items()})
 
 
 def diagnose_battery(

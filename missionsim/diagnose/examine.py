@@ -34,18 +34,10 @@ NO_PRIOR_SD = float("inf")
 
 @dataclass(frozen=True)
 class Subject:
-    """A robot under diagnosis: its file, power model, own candidate effects."""
+    """A robot under diagnosis."""
 
-    name: str
+    robot: RobotSpec
     model: PowerModel
-    sources: Mapping[str, str]
-    """Key of the robot file's ``sources`` → text."""
-    own: Mapping[str, tuple[Effect, ...]]
-    """Effects of the file that are candidates only. Mapping of battery to tuple of Effect."""
-    switchable: Mapping[str, tuple[str, ...]]
-    """Components that can be switched and that the battery feeds. Mapping of battery to tuple of str."""
-    limits: Mapping[str, float]
-    """``max_speed``, ``max_yaw_rate``, ``acceleration``."""
     priors: Mapping[str, float] | None = None
     """Relative prior standard deviations by parameter, in place of the file's."""
 
@@ -54,33 +46,28 @@ class Subject:
         cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
     ) -> Subject:
         """The subject of a robot file."""
-        from missionsim.inputs.power import build_effect, build_power_model
+        from missionsim.inputs.power import build_power_model
 
-        own: dict[str, list[Effect]] = {}
-        for spec in robot.effects:
-            if spec.candidate:
-                own.setdefault(spec.battery, []).append(build_effect(spec, robot))
-        switchable = {
-            battery: tuple(
-                name
-                for name, component in robot.components.items()
-                if not component.always_on and any(load.battery == battery for load in component.loads)
-            )
-            for battery in robot.batteries
-        }
-        body = robot.body
-        limits = {"max_speed": body.max_speed.value, "max_yaw_rate": body.max_yaw_rate.value}
-        if body.max_acceleration is not None:
-            limits["acceleration"] = body.max_acceleration.value
-        return cls(
-            robot.name,
-            model or build_power_model(robot),
-            dict(robot.sources),
-            {battery: tuple(effects) for battery, effects in own.items()},
-            switchable,
-            limits,
-            priors,
-        )
+        return cls(robot, model or build_power_model(robot), priors)
+
+    def own(self, battery: str) -> tuple[Effect, ...]:
+        """Effects of the file that are candidates only."""
+        from missionsim.inputs.power import build_effect
+
+        specs = (spec for spec in self.robot.effects if spec.candidate and spec.battery == battery)
+        return tuple(build_effect(spec, self.robot) for spec in specs)
+
+    def switchable(self, battery: str) -> tuple[str, ...]:
+        """Components that can be switched and that the battery feeds."""
+        parts = ((name, one) for name, one in self.robot.components.items() if not one.always_on)
+        return tuple(name for name, one in parts if any(load.battery == battery for load in one.loads))
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """``max_speed``, ``max_yaw_rate``, ``acceleration``."""
+        body = self.robot.body
+        given = {"max_speed": body.max_speed, "max_yaw_rate": body.max_yaw_rate, "acceleration": body.max_acceleration}
+        return {name: limit.value for name, limit in given.items() if limit is not None}
 
     def unknown(self) -> Subject:
         """The robot as one of whose base nothing is known beside the logs."""
@@ -93,7 +80,7 @@ def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Run
 
     What was fitted to other logs is known less well here than there, see `missionsim.fit.provenance.sd_on_other_logs`.
     """
-    source = subject.sources.get(parameter.source, parameter.source)
+    source = subject.robot.sources.get(parameter.source, parameter.source)
     return NO_PRIOR_SD if fitted_to(source, logs) else sd_on_other_logs(parameter.prior_sd, source)
 
 
@@ -147,11 +134,11 @@ class Examined:
 
 def examine(subject: Subject, split: Split, battery: str, settings: Settings, clock: Clock | None = None) -> Examined:
     """Features and identification of one battery, before anything is said about it."""
-    own, batteries = subject.own.get(battery, ()), subject.model.batteries
+    own, batteries = subject.own(battery), subject.model.batteries
     measured = [log for log in split.train if battery in log.power_w]
     train, left_out = with_same_causes(measured, batteries, own)
     train, thinned = stretches(train)
-    switchable = subject.switchable.get(battery, ())
+    switchable = subject.switchable(battery)
     features = make_features(subject.model, [steady_speed(log) for log in train], battery, own, switchable=switchable)
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
         raise InputError.single(

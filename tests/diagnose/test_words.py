@@ -27,9 +27,8 @@ from missionsim.report.page import Chart
 
 WHERE = Where(
     **{"by": "slope_rad", "title": "slope", "unit": "°", "value": "2 to 4", "low": 2.0, "high": 4.0},
-    **{"share_of_gap": 0.5, "share_of_squared_error": 0.4, "gap_wh": 0.1, "explains": 0.3},
-    bias_w=-1.5,
-    seconds=60.0,
+    **{"share_of_gap": 0.5, "share_of_squared_error": 0.4, "explains": 0.3},
+    **{"gap_j": 90.0, "seconds": 60.0, "square_w2s": 200.0},
 )
 GRADE = Finding(
     effect="grade",
