@@ -272,8 +272,8 @@ def add_effect(
     to.emit(made.to_json() | {"battery": chosen, "left_out": split.left_out, "robot_file": str(out)})
     if made.worse:
         print(made.worse, file=sys.stderr)
-    if made.rivals:
-        told = f"these logs cannot tell {made.effect.effect} from {', '.join(made.rivals)}"
+    if rivals := made.effect.indistinguishable_from:
+        told = f"these logs cannot tell {made.effect.effect} from {', '.join(rivals)}"
         print(f"warning: {told}; missionsim diagnose says what to drive to find out", file=sys.stderr)
     if made.effect.doubt:
         print(f"warning: {made.effect.doubt}", file=sys.stderr)
@@ -281,7 +281,7 @@ def add_effect(
         terminal = console()
         one, told = made.effect, words.parameters_told(made.effect)
         terminal.print(f"{one.effect} on battery {chosen}: {words.share_told(one)}; {told}; p = {one.p_value:.1g}")
-        if not made.significant:
+        if made.reason:
             terminal.print(f"forced: {made.reason}")
         if made.base:
             terminal.print("base: " + ", ".join(f"{n} = {bare(v)}" for n, (v, _) in made.base.items()))

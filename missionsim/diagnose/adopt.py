@@ -38,11 +38,8 @@ class Adopted:
     """The new file."""
     effect: Finding
     """What was fitted."""
-    significant: bool
     reason: str
-    """Why not, where it is not."""
-    rivals: tuple[str, ...]
-    """Effects that these data cannot tell from it."""
+    """Why the data do not support it; empty where they do."""
     base: Mapping[str, tuple[float, float]]
     """Recalibrated base parameters that were written. Mapping of str to (value, sd)."""
     heldout: HeldOut | None = None
@@ -56,13 +53,13 @@ class Adopted:
             "schema": "missionsim.add_effect/1",
             "effect": self.effect.effect,
             "added": True,
-            "significant": self.significant,
+            "significant": not self.reason,
             "reason": self.reason,
             "parameters": {name: estimate.to_json() for name, estimate in self.effect.parameters.items()},
             "energy_share": self.effect.energy_share,
             "energy_share_given_back": self.effect.back,
             "p_value": self.effect.p_value,
-            "indistinguishable_from": list(self.rivals),
+            "indistinguishable_from": list(self.effect.indistinguishable_from),
             "heldout": self.heldout and self.heldout.to_json(),
             "worse": self.worse or None,
             "meter": self.meter._asdict(),
@@ -195,7 +192,7 @@ def adopt(
     powers = (subject.model, models.fit(()).model, fitted.model)
     heldout = models.held_out(powers, held, split.how, split.shifted) if held else None
     meter = fitted.model.meter(battery)
-    return Adopted(new, found, significant, reason, found.indistinguishable_from, base, heldout, meter)
+    return Adopted(new, found, reason, base, heldout, meter)
 
 
 def write(

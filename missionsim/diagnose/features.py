@@ -132,16 +132,17 @@ def make_features(
         untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
     _refuse_nonsense([effect for effect in own if effect.id in effects], covariates)
     steady: dict[str, float] = {}
-    if ready.unknown_w:
+    unknown_w = sum(ready.unknown.values())
+    if unknown_w:
         # of the base parameters that are a constant power wherever they act
         whole = {name: np.concatenate([own[name] for own in ready.gradients]) for name in ready.gradients[0]}
         acting = {name: values[values != 0.0] for name, values in whole.items()}
         level = [n for n, w in acting.items() if len(w) and np.ptp(w) <= 1e-9 * np.max(np.abs(w))]
-        steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), level, ready.gradients)
+        steady = _shares_of(np.full(ready.seconds().shape, unknown_w), level, ready.gradients)
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
     charged = float(np.mean(measured_w < 0.0))
     candidates: list[Candidate] = []
-    unlogged = tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w
+    unlogged = tuple(f"component_power:{c}" for c in ready.unknown), unknown_w
     off = never_on(model, ready)
     for effect in effects.values():
         candidate = _candidate(effect, covariates, charged)
@@ -162,7 +163,7 @@ def make_features(
         untestable,
         tuple(dict.fromkeys(ready.remarks)),
         covariates=tuple(covariates),
-        unlogged=ready.unknown,
+        unlogged=tuple(ready.unknown),
         steady=steady,
     )
 

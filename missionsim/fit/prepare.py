@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -33,19 +34,26 @@ class Prepared:
     """Covariates that every run has; what was assumed is not among them."""
     texts: Mapping[str, tuple[str, ...]]
     """Distinct texts of each text column over all runs."""
-    base_w: tuple[Array, ...]
-    """Power of the base model of each run [W]."""
-    gradients: tuple[Mapping[str, Array], ...]
-    """``∂P/∂ln θ`` by parameter, of each run [W]."""
     parameters: Mapping[str, ModelParameter]
     """Base parameters by their name within the battery."""
     remarks: list[str]
     """What was assumed or left out, in words."""
     _: KW_ONLY
-    unknown: tuple[str, ...] = ()
-    """Components of which nothing tells when they were on."""
-    unknown_w: float = 0.0
-    """Their power together [W]."""
+    unknown: Mapping[str, float] = field(default_factory=dict)
+    """Power of components of which nothing tells when they were on [W]."""
+
+    @cached_property
+    def base_w(self) -> tuple[Array, ...]:
+        """Power of the base model of each run [W]."""
+        return tuple(np.ascontiguousarray(run.row_w(self.battery)) for run in self.runs)
+
+    @cached_property
+    def gradients(self) -> tuple[Mapping[str, Array], ...]:
+        """``∂P/∂ln θ`` by parameter, of each run [W]; a term that one run cannot drive has no power there."""
+        slopes = [run.gradient(self.battery) for run in self.runs]
+        every = dict.fromkeys(name for own in slopes for name in own)
+        pairs = zip(self.runs, slopes, strict=True)
+        return tuple({name: own.get(name, np.zeros(len(run.time_s))) for name in every} for run, own in pairs)
 
     @property
     def covariates(self) -> list[Columns]:
@@ -67,9 +75,7 @@ class Prepared:
     def at(self, model: PowerModel) -> Prepared:
         """The same rows driven by a model with the same terms and other values."""
         runs = tuple(run.at(model) for run in self.runs)
-        base_w = tuple(np.ascontiguousarray(run.row_w(self.battery)) for run in runs)
-        parameters, gradients = model.parameters_of(self.battery), tuple(_gradients(runs, self.battery))
-        return replace(self, runs=runs, base_w=base_w, gradients=gradients, parameters=parameters)
+        return replace(self, runs=runs, parameters=model.parameters_of(self.battery))
 
     def data(self, columns: Sequence[Mapping[str, Array]] | None = None) -> tuple[RunData, ...]:
         """The runs as the identification reads them, with candidate columns where given."""
@@ -112,7 +118,6 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
             told.setdefault(note, []).append(log.run)
         runs += drive_blocks(plan, [log])
     remarks += [note if len(of) == len(tables) else f"{_named(of)}: {note}" for note, of in told.items()]
-    gradients = _gradients(runs, battery)
     names = _shared_names(runs, remarks)
     texts: dict[str, tuple[str, ...]] = {}
     for name in sorted(names):
@@ -121,37 +126,17 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
             used = {value.names[int(code)] for value in values for code in np.unique(value.codes) if code >= 0}
             texts[name] = tuple(sorted(used))
     unknown = _switched_w(model, battery, set().union(*(run.unknown for run in runs)))
-    unknown_w = sum(unknown.values())
     measured_w = np.concatenate([run.run.power_w[battery] for run in runs])
-    if unknown_w < FAINT_LOAD * abs(float(np.nanmean(measured_w))):
-        unknown, unknown_w = {}, 0.0
+    if sum(unknown.values()) < FAINT_LOAD * abs(float(np.nanmean(measured_w))):
+        unknown = {}
     elif unknown:
         remarks.append(
-            f"nothing tells when {', '.join(unknown)} ({watts(unknown_w)}) was on: what a load of that size imitates "
-            "is not named with confidence; log its on_<component> column, or the control scheme"
+            f"nothing tells when {', '.join(unknown)} ({watts(sum(unknown.values()))}) was on: what a load of that "
+            "size imitates is not named with confidence; log its on_<component> column, or the control scheme"
         )
     return Prepared(
-        battery,
-        tuple(runs),
-        frozenset(names),
-        texts,
-        tuple(np.ascontiguousarray(run.row_w(battery)) for run in runs),
-        tuple(gradients),
-        model.parameters_of(battery),
-        remarks,
-        unknown=tuple(unknown),
-        unknown_w=unknown_w,
+        battery, tuple(runs), frozenset(names), texts, model.parameters_of(battery), remarks, unknown=unknown
     )
-
-
-def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
-    """``∂P/∂ln θ`` of each run; a term that one run cannot drive has no power there."""
-    gradients = [run.gradient(battery) for run in runs]
-    every = dict.fromkeys(name for slopes in gradients for name in slopes)
-    return [
-        {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
-        for run, slopes in zip(runs, gradients, strict=True)
-    ]
 
 
 def _switched_w(model: PowerModel, battery: str, switches: set[str]) -> dict[str, float]:

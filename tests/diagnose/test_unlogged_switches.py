@@ -72,8 +72,7 @@ def test_what_every_scheme_requires_is_on_and_nothing_else(tmp_path: Path) -> No
     robot, files = robot_file(tmp_path, always=True), logs(tmp_path, scheme=False, always=True)
     ready = prepare(build_power_model(load_robot(robot)), read_logs(files), "main")
     assert np.all(ready.runs[0].covariates["on_lidar"] == 1.0)
-    assert ready.unknown == ("camera",)
-    assert ready.unknown_w == pytest.approx(6.0)
+    assert ready.unknown == {"camera": pytest.approx(6.0)}
 
 
 def test_what_an_unlogged_load_imitates_is_not_named(tmp_path: Path) -> None:
