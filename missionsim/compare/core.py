@@ -17,7 +17,7 @@ from missionsim.compare.behaviour import MissionGap, split_behaviour
 from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.where import Accumulator, RunSums, Series, dependences
 from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline, integrate
+from missionsim.effects.timeline import integrate
 from missionsim.errors import Fault, InputError
 from missionsim.logs import find_logs, iter_blocks, read_logs
 from missionsim.logs.raw import Remark, merge
@@ -31,20 +31,22 @@ from missionsim.runs.motion import still_of
 from missionsim.runs.run import Run, coarser
 
 if TYPE_CHECKING:
+    from missionsim.engine.outcome import RunResult
     from missionsim.inputs.robot import RobotSpec
 
 
-def mission_progress(series: Series, names: Sequence[str], plan: Timeline, segments: Sequence[str]) -> Array:
+def mission_progress(series: Series, names: Sequence[str], mission: RunResult) -> Array:
     """Progress of a run along a plan at the end of each bucket, 0 to 1, shape (n,).
 
     Where the log names its segments, a segment takes the share of the progress that it has of the planned time, and
     progress within it runs with the time driven in it. Without them progress is the share of the run's time. `series`:
     the run; its ``segment`` column holds indices into `names`. `names`: segments as the logs name them: numbers counted
-    from 0 as in the plan, or names. `segments`: names of the plan's segments by number.
+    from 0 as in the plan, or names. `mission`: simulated.
     """
+    plan = mission.timeline
     if not names or not len(plan.segment):
         return series.progress
-    number = {name: i for i, name in enumerate(segments)}
+    number = {segment.name: i for i, segment in enumerate(mission.segments)}
     planned = {int(i) for i in plan.segment}
     table = np.array([number.get(name, _whole(name)) for name in names] + [-1])
     own = table[series.columns["segment"].astype(int)]
@@ -82,9 +84,7 @@ def compare(
     logs: Iterable[Run | PathLike] | PathLike,
     *,
     robot: RobotSpec | None = None,
-    plan: Timeline | None = None,
-    segments: Sequence[str] = (),
-    mission: str = "",
+    mission: RunResult | None = None,
     by: Iterable[str] = (),
     on_run: Callable[[str], None] | None = None,
 ) -> Comparison:
@@ -97,12 +97,8 @@ def compare(
         One run each; large files are read in blocks.
     robot : RobotSpec, optional
         Sharpens the checks of the logs and names the robot in the result.
-    plan : Timeline, optional
+    mission : RunResult, optional
         The simulated mission that every log is a run of.
-    segments : sequence of str
-        Names of the plan's segments, for logs that name them.
-    mission : str
-        The mission's name.
     by : iterable of str
         Further log columns along which the error is looked at.
     on_run : callable, optional
@@ -114,7 +110,7 @@ def compare(
         Faults of the logs, or nothing to compare.
     """
     by = tuple(by)
-    sums = Accumulator(by, still=None if plan is None else still_of(plan))
+    sums = Accumulator(by, still=None if mission is None else still_of(mission.timeline))
     notes: dict[Any, tuple[str, list[str]]] = {}
     sources: list[tuple[str, str]] = []
     items = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
@@ -155,6 +151,8 @@ def compare(
     ]
     odd = "; ".join(f"{name}: {why}" for name, why in odd_runs(admitted, model).items())
     told = [f"{COMPARED}: {odd}"] if odd else []
+    if mission is not None and not mission.feasible:
+        meters.insert(0, f"the simulated mission is not feasible: {mission.reason}")
     for note, of in notes.values():
         everywhere = len(of) == len(sources) and note.startswith(("no column", "battery"))
         more = f" and {len(of) - 1} more" if len(of) > 1 else ""
@@ -162,11 +160,11 @@ def compare(
     return Comparison(
         getattr(robot, "name", ""),
         tuple(run for run, _ in sources),
-        {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
+        {name: _battery(name, sums, model, mission) for name in batteries},
         (*meters, *told),
         tuple(sources),
         sums.rows,
-        mission,
+        "" if mission is None else mission.mission,
         (*left_out, *refused),
     )
 
@@ -208,25 +206,12 @@ def compare_files(
     if faults:
         raise InputError(faults)
     spec, _, driven = loaded
-    model = build_power_model(spec)
-    if driven is None:
-        return compare(model, logs, robot=spec, by=by, on_run=on_run)
-    from missionsim.engine.simulate import simulate
+    simulated = None
+    if driven is not None:
+        from missionsim.engine.simulate import simulate
 
-    result = simulate(driven)
-    found = compare(
-        model,
-        logs,
-        robot=spec,
-        plan=result.timeline,
-        segments=tuple(info.name for info in result.segments),
-        mission=driven.name,
-        by=by,
-        on_run=on_run,
-    )
-    if result.feasible:
-        return found
-    return replace(found, notes=(f"the simulated mission is not feasible: {result.reason}", *found.notes))
+        simulated = simulate(driven)
+    return compare(build_power_model(spec), logs, robot=spec, mission=simulated, by=by, on_run=on_run)
 
 
 def _runs(
@@ -263,14 +248,7 @@ def _ahead(blocks: Iterator[Run]) -> Iterator[Run]:
             yield block
 
 
-def _battery(
-    battery: str,
-    sums: Accumulator,
-    model: PowerModel,
-    plan: Timeline | None,
-    segments: Sequence[str],
-    batteries: Sequence[str],
-) -> BatteryComparison:
+def _battery(battery: str, sums: Accumulator, model: PowerModel, mission: RunResult | None) -> BatteryComparison:
     found = {run: of[battery] for run, of in sums.runs.items() if battery in of}
     grid = progress_grid()
     every = [
@@ -300,21 +278,15 @@ def _battery(
         error_curve_pct=curve,
         dependences=tuple(dependences(sums, battery)),
         places=tuple(sums.places.cells(battery)),
-        mission=None if plan is None else _mission(battery, sums, model, plan, segments, found, batteries),
+        mission=None if mission is None else _mission(battery, sums, model, mission, found),
     )
 
 
 def _mission(
-    battery: str,
-    sums: Accumulator,
-    model: PowerModel,
-    plan: Timeline,
-    segments: Sequence[str],
-    found: dict[str, RunSums],
-    batteries: Sequence[str],
+    battery: str, sums: Accumulator, model: PowerModel, mission: RunResult, found: dict[str, RunSums]
 ) -> MissionGap:
-    driven = [sums.motion[run] for run in found]
-    schemes = split_behaviour(model, plan, driven, batteries)
+    driven, plan = [sums.motion[run] for run in found], mission.timeline
+    schemes = split_behaviour(model, plan, driven, [battery])
     simulated = sum(integrate(model, plan)[battery].values(), start=np.zeros(len(plan)))
     grid, axis = progress_grid(), sums.axes.get("segment")
     names = axis.names if isinstance(axis, LabelAxis) else ()
@@ -322,7 +294,7 @@ def _mission(
     measured, predicted = np.zeros(len(grid)), np.zeros(len(grid))
     for one in found.values():
         own = one.series.progress
-        progress = np.interp(grid, own, mission_progress(one.series, names, plan, segments))
+        progress = np.interp(grid, own, mission_progress(one.series, names, mission))
         measured += cumulative_at(own, one.series.columns["measured_j"], grid)
         predicted += cumulative_at(spent / spent[-1], simulated, progress)
     replayed = sum(one.error.model_j for one in found.values())
