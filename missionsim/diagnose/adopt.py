@@ -181,13 +181,12 @@ def adopt(
     found = next(one for one in together if one.effect == effect)
     if law is not None and found.share_low <= 0.0 <= found.share_high:
         reason = f"{effect} comes to nothing beside the base once both are fitted together"
-    significant = not reason
-    if not significant and not force:
+    if reason and not force:
         raise NotSignificant(reason)
     if len(together) > 1 and recalibrate:
         # the base beside other effects is wrong in a file that lacks them; the size of this one is not
         fitted = models.fit([found], fixed=True)
-    new, base = write(text, robot, models, [found], fitted, split, significant=significant)
+    new, base = write(text, models, [found], fitted, split, forced=bool(reason))
     held = [log for log in split.heldout if battery in log.power_w]
     powers = (subject.model, models.fit(()).model, fitted.model)
     heldout = models.held_out(powers, held, split.how, split.shifted) if held else None
@@ -196,19 +195,11 @@ def adopt(
 
 
 def write(
-    text: str,
-    robot: RobotSpec,
-    models: Models,
-    effects: Sequence[Finding],
-    fitted: FinalFit,
-    split: Split,
-    *,
-    significant: bool = True,
+    text: str, models: Models, effects: Sequence[Finding], fitted: FinalFit, split: Split, *, forced: bool = False
 ) -> tuple[str, dict[str, tuple[float, float]]]:
     """Write effects and the base that was fitted with them into the text of a robot file.
 
-    `text`, `robot`: as for `adopt`. `effects`: with the values of `fitted`; all of its effects. Gives `base`: base
-    parameters that were written.
+    `effects`: with the values of `fitted`; all of its effects. Gives the text and the base parameters written.
     """
     from missionsim.inputs import edit
 
@@ -221,7 +212,7 @@ def write(
     names = [one.effect for one in written]
     own = [
         (i, spec)
-        for i, spec in enumerate(robot.effects)
+        for i, spec in enumerate(editing.robot.effects)
         if spec.candidate and spec.name in names and spec.battery == models.battery
     ]
     for i, _ in reversed(own):
@@ -246,16 +237,16 @@ def write(
         } | ({"energy_share_given_back": one.back} if one.back else {})
         if one.indistinguishable_from:
             origin["cannot_be_told_from"] = list(one.indistinguishable_from)
-        if not significant:
+        if forced:
             origin["forced"] = True
         entry: dict[str, Any] = {"effect": one.effect, "battery": models.battery}
         if candidate := next((spec for _, spec in own if spec.name == one.effect), None):
-            power = candidate.power
-            entry = {"name": one.effect, "battery": models.battery, "power": str(getattr(power, "source", power))}
+            entry = {"name": one.effect, "battery": models.battery, "power": candidate.power}
         editing.add_effect(entry | {"parameters": parameters, "origin": origin})
     editing.set_meter(models.battery, fitted.model.meter(models.battery))
     # which runs, and what they covered, stands once in a file: its base was fitted to them too
-    return editing.set_source(CALIBRATION, fitted_source(split.train), ranges_of(split.train, robot.origin)).text, base
+    ranges = ranges_of(split.train, editing.robot.origin)
+    return editing.set_source(CALIBRATION, fitted_source(split.train), ranges).text, base
 
 
 def _noted(told: Estimate) -> dict[str, str]:

@@ -42,13 +42,11 @@ class Subject:
     """Relative prior standard deviations by parameter, in place of the file's."""
 
     @classmethod
-    def of(
-        cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
-    ) -> Subject:
+    def of(cls, robot: RobotSpec) -> Subject:
         """The subject of a robot file."""
         from missionsim.inputs.power import build_power_model
 
-        return cls(robot, model or build_power_model(robot), priors)
+        return cls(robot, build_power_model(robot))
 
     def own(self, battery: str) -> tuple[Effect, ...]:
         """Effects of the file that are candidates only."""

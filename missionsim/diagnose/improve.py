@@ -277,12 +277,12 @@ class Rounds:
         from missionsim.inputs.loading import robot_from_text
 
         given, models = self.state.given, self.state.models
-        text, _ = write(given, robot_from_text(given), models, effects, fitted, self.split)
-        made = robot_from_text(text)
+        text, _ = write(given, models, effects, fitted, self.split)
         # the file's own values came from these logs: what was known before them stays the prior
-        model = Subject.of(made).model
-        added = {t.name_of(name): NO_PRIOR_SD for t in model.of(self.battery) if not t.base for name in t.parameters}
-        again = Subject.of(made, model, priors={**added, **self.priors})
+        subject = Subject.of(robot_from_text(text))
+        terms = (term for term in subject.model.of(self.battery) if not term.base)
+        added = {term.name_of(name): NO_PRIOR_SD for term in terms for name in term.parameters}
+        again = replace(subject, priors={**added, **self.priors})
         tried = {name for name, n in self.nothing.items() if n > 1} | {*self.declined}
         seen = examine(again, self.split, self.battery, self.settings, models.clock)
         last = diagnose_battery(again, self.split, self.battery, None, self.settings, seen=seen, tried=tried)
@@ -345,7 +345,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     doubted = last_models.leaning(taken, last_models.fit(taken)) if taken else ()
     base_alone = bool(heldout) and not taken and clearly_better(steps[-2], steps[0])
     if base_alone:
-        text, _ = write(end.given, robot_from_text(end.given), models, (), last_models.fit(()), split)
+        text, _ = write(end.given, models, (), last_models.fit(()), split)
     return Improved(
         battery,
         text,

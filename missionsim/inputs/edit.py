@@ -41,7 +41,7 @@ class Editing:
     def __init__(self, text: str) -> None:
         from ruamel.yaml.error import YAMLError
 
-        self._robot = robot_from_text(text)
+        self.robot = robot_from_text(text)
         self._yaml = _round_trip()
         # how far the file indents the dashes of a list below its key: 0 or 2
         match = re.search(r"^( *)[\w-]+:[ \t]*(?:#[^\n]*)?\n(?:[ \t]*(?:#[^\n]*)?\n)*( *)- ", text, re.MULTILINE)
@@ -79,7 +79,7 @@ class Editing:
         ``value`` and perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status,
         source and note, since they spoke of the old value, and the old spread where no new one is given.
         """
-        known = dict(parameters(self._robot))
+        known = dict(parameters(self.robot))
         for path, update in updates.items():
             found = resolve(self._data, path)
             if not isinstance(found, tuple):

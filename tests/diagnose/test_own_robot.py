@@ -89,7 +89,7 @@ def test_a_robot_that_drifted_since_its_calibration_lacks_nothing(tmp_path: Path
     split = Split(tuple(now), (), "")
     assert examine(Subject.of(robot), split, BATTERY, Settings()).found.effects == ()
     exact = {name: p.sd / p.value for name, p in robot.motion.parameters.items() if p.sd}
-    named = examine(Subject.of(robot, priors=exact), split, BATTERY, Settings()).found.effects
+    named = examine(replace(Subject.of(robot), priors=exact), split, BATTERY, Settings()).found.effects
     assert [e.effect for e in named] == ["rolling_friction"]  # what too tight a prior would make of the drift
 
 
