@@ -254,8 +254,8 @@ def add_effect(
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
 
-    spec, split = _split(robot, logs, holdout)
-    made = adopt(robot_text(robot), spec, split, effect, battery, Settings(), force=force)
+    _, split = _split(robot, logs, holdout)
+    made = adopt(robot_text(robot), split, effect, battery, Settings(), force=force)
     parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
     told = ", ".join(f"{name} = {p['value']:.4g}" for name, p in parameters.items())
     rows = [{"parameter": name, **p} for name, p in parameters.items()]

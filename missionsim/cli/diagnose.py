@@ -250,12 +250,11 @@ def add_effect(
     measured = list(dict.fromkeys(name for log in split.given for name in log.power_w))
     motors = spec.motion.battery if spec.motion is not None else ""
     chosen = search.battery or (motors if motors in measured else measured[0])
-    text = robot_text(search.robot)
     options = {"formula": formula is not None, "force": force, "recalibrate": not keep_base}
     asked = formula if effect is None else effect
     assert asked is not None
     try:
-        made = adopt(text, spec, split, asked, chosen, search.settings, **options)
+        made = adopt(robot_text(search.robot), split, asked, chosen, search.settings, **options)
     except InputError as error:
         if formula is None:
             raise

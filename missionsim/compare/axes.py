@@ -62,6 +62,10 @@ class _Sums:
         """Sum of a weight in each cell."""
         return self._sums.get(key, np.zeros(len(self._cells)))
 
+    def _counted(self, battery: str) -> dict[str, Array]:
+        """Seconds, energy gap and squared error of one battery in each cell."""
+        return {what: self._of(f"{battery}:{what}") for what in ("seconds", "gap", "square")}
+
     def _gather(self, cells: NDArray[np.int64], sums: Mapping[str, Array]) -> None:
         """Add what lies in some cells."""
         new = np.zeros(len(cells))
@@ -138,20 +142,18 @@ class NumberAxis(_Axis):
             cells[~known] = -1
         return cells
 
-    def bins(
-        self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
-    ) -> list[Bin]:
+    def bins(self, battery: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE) -> list[Bin]:
         """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out. Bins at the ends with
         less than the share `thin` of the time are joined to their neighbour."""
-        filled = self._cells[self._of(seconds) > 0.0]
+        filled = self._cells[self._of(f"{battery}:seconds") > 0.0]
         if self._exponent is None or not filled.size:
             return []
         lowest, highest = int(filled[0]), int(filled[-1])
         round_numbers = (step * 10**power for power in range(20) for step in (1, 2, 5))
         multiple = next(m for m in round_numbers if highest // m - lowest // m + 1 <= wanted)
         width = multiple * 10.0**self._exponent
-        cells, sums = _joined(self._cells // multiple, {key: self._of(key) for key in (seconds, gap, square)})
-        cells, totals = cells[sums[seconds] > 0.0], np.stack(list(sums.values()))[:, sums[seconds] > 0.0]
+        cells, sums = _joined(self._cells // multiple, self._counted(battery))
+        cells, totals = cells[sums["seconds"] > 0.0], np.stack(list(sums.values()))[:, sums["seconds"] > 0.0]
         time, limit = totals[0], thin * float(totals[0].sum())
         first, last = 0, len(cells) - 1
         while first < last and time[: first + 1].sum() < limit:
@@ -189,9 +191,9 @@ class LabelAxis(_Axis):
             table[value - low] = self._code(str(value))
         return np.where(known, table[whole - low], -1)
 
-    def bins(self, seconds: str, gap: str, square: str, *_: float) -> list[Bin]:
+    def bins(self, battery: str, *_: float) -> list[Bin]:
         """One bin per value, in order of appearance (numbers in increasing order)."""
-        rows = np.stack([self._of(key) for key in (seconds, gap, square)], axis=1).tolist()
+        rows = np.stack(list(self._counted(battery).values()), axis=1).tolist()
         found = {self.names[code]: sums for code, sums in zip(self._cells.tolist(), rows, strict=True) if sums[0] > 0.0}
         return [Bin(name, None, None, *found[name]) for name in sorted(found, key=_natural)]
 
@@ -270,11 +272,10 @@ class PlaceGrid(_Sums):
 
     def cells(self, battery: str, blocks: int = 1) -> list[PlaceCell]:
         """Visited cells of one battery; `blocks` by `blocks` cells of the grid make one."""
-        keys = [f"{battery}:{what}" for what in ("seconds", "gap", "square")]
-        cells, sums = _joined(self._cells // blocks, {key: self._of(key) for key in keys})
+        cells, sums = _joined(self._cells // blocks, self._counted(battery))
         width = self.width_m * blocks
         found = []
-        for at, *totals in zip(cells.tolist(), *(sums[key].tolist() for key in keys), strict=True):
+        for at, *totals in zip(cells.tolist(), *(sum_of.tolist() for sum_of in sums.values()), strict=True):
             x, y = ((number + 0.5) * width for number in at)
             value = f"x {x:.4g} m, y {y:.4g} m".replace("-", "−")
             found.append(PlaceCell(value, None, None, *totals, x_m=x, y_m=y, width_m=width))

@@ -237,12 +237,11 @@ class Dependence:
 
 def dependences(sums: Accumulator, battery: str) -> list[Dependence]:
     """Every covariate with at least two values, the one that explains most first."""
-    keys = (f"{battery}:seconds", f"{battery}:gap", f"{battery}:square")
     found = []
     for axis in sums.axes.values():
-        bins = axis.bins(*keys)
+        bins = axis.bins(battery)
         if len(bins) > 1:
-            fine = axis.bins(*keys, CHART_BINS, CHART_THIN_SHARE)
+            fine = axis.bins(battery, CHART_BINS, CHART_THIN_SHARE)
             found.append(_dependence(axis.name, axis.title, axis.unit, bins, fine))
     cells = sums.places.coarse_cells(battery)
     if len(cells) > 1:

@@ -108,7 +108,6 @@ def check_name(robot: RobotSpec, effect: str) -> None:
 
 def adopt(
     text: str,
-    robot: RobotSpec,
     split: Split,
     effect: str,
     battery: str,
@@ -124,8 +123,6 @@ def adopt(
     ----------
     text : str
         Robot file; its comments are kept.
-    robot : RobotSpec
-        The same file, loaded.
     split : Split
         Its training runs are fitted.
     effect : str
@@ -148,12 +145,12 @@ def adopt(
     """
     from missionsim.inputs.loading import robot_from_text
 
-    subject = Subject.of(robot)
+    subject = Subject.of(robot := robot_from_text(text))
     if battery not in robot.batteries:
         raise InputError.unknown(f"the robot has no battery '{battery}'", battery, robot.batteries)
     law: Finding | None = None
     if formula:
-        named = judged(seen := examine(subject, split, battery, settings), settings)
+        named = judged(seen := examine(subject, split, battery, settings))
         law, own = _law_of(named, effect)
         text, effect = with_candidate(text, battery, own)
         robot = robot_from_text(text)
@@ -170,10 +167,10 @@ def adopt(
                 allowed="missionsim calibrate --robot refits it",
             )
     if law is None:
-        named = judged(seen := examine(subject, split, battery, settings), settings)
+        named = judged(seen := examine(subject, split, battery, settings))
         _check_testable(seen, effect)
     models = seen.models
-    together, reason = _supported(seen, named, effect, settings) if law is None else ((*named.effects, law), "")
+    together, reason = _supported(seen, named, effect) if law is None else ((*named.effects, law), "")
     fitted = named.fitted
     if together != named.effects or not recalibrate:
         fitted = models.fit(together, keep_base=not recalibrate)
@@ -281,14 +278,16 @@ def _check_testable(seen: Examined, effect: str) -> None:
         raise InputError.unknown(f"'{effect}' is not an effect that these logs can test", effect, known)
 
 
-def _supported(seen: Examined, named: Named, effect: str, settings: Settings) -> tuple[tuple[Finding, ...], str]:
+def _supported(seen: Examined, named: Named, effect: str) -> tuple[tuple[Finding, ...], str]:
     """The effect with everything that it is fitted beside, and why the logs do not support it; empty where they do."""
     if any(one.effect == effect for one in named.effects):
         return named.effects, ""
     others = [e.effect for e in named.effects if effect not in e.indistinguishable_from]
     features = seen.features
     try:
-        fitted = fit_effects(features.runs, features.candidates, [*others, effect], features.prior_sd, settings)
+        fitted = fit_effects(
+            features.runs, features.candidates, [*others, effect], features.prior_sd, seen.models.settings
+        )
     except ValueError as error:
         raise InputError.single(str(error), got=effect) from error
     columns = fitted.choice.model.design.layout.columns

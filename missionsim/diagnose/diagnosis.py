@@ -21,7 +21,6 @@ from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.waterfall import noted
 from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
-from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import (
@@ -132,7 +131,7 @@ def diagnose(
             skipped[name] = InputError.unknown(f"the robot has no battery '{name}'", name, subject.model.batteries)
             continue
         try:
-            done[name] = diagnose_battery(subject, split, name, timeline, settings)
+            done[name] = diagnose_battery(subject, split, name, settings, timeline=timeline)
         except InputError as error:
             skipped[name] = error
     if not done:
@@ -144,23 +143,20 @@ def diagnose_battery(
     subject: Subject,
     split: Split,
     battery: str,
-    timeline: Timeline | None,
     settings: Settings,
-    clock: Clock | None = None,
+    *,
+    timeline: Timeline | None = None,
     seen: Examined | None = None,
-    laws: bool = True,
     tried: Collection[str] = (),
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
 
-    `subject`, `split`, `battery`, `timeline`, `settings`: as for `diagnose`. `clock`: at which held-out
-    errors and series are told, so that several models can be held against each other; by default the one that is found.
-    `seen`: what `examine` gave. `laws`: whether to look for a law that the library does not hold. `tried`: effects for
-    which no law has to wait, since they came to nothing beside the others or are not wanted.
+    `subject`, `split`, `battery`, `settings`, `timeline`: as for `diagnose`. `seen`: what `examine` gave. `tried`:
+    effects for which no law has to wait, since they came to nothing beside the others or are not wanted.
     """
-    seen = seen or examine(subject, split, battery, settings, clock)
+    seen = seen or examine(subject, split, battery, settings)
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
-    effects, candidates, proposed, fitted, in_file = judged(seen, settings, laws, tried)
+    effects, candidates, proposed, fitted, in_file = judged(seen, tried)
     fits = (subject.model, models.fit(()).model, fitted.model)
     heldout: HeldOut | None = None
     if held:
@@ -262,10 +258,10 @@ class Named(NamedTuple):
     """The same beside the first law, if there is one: the base as the file will have it."""
 
 
-def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collection[str] = ()) -> Named:
+def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Named:
     """The effects that stay beside the laws that are proposed, what became of all others, and the model with them.
 
-    `seen`, `settings`, `laws`, `tried`: as for `diagnose_battery`.
+    `tried`: as for `diagnose_battery`; `laws`: whether to look for a law that the library does not hold.
     """
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     proposed: tuple[Proposal, ...] = ()
@@ -287,7 +283,7 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
         effects = with_law(models, law.effect, law.effect).needed_beside(law, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
-    effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
+    effects, fitted = models.certain(effects, 0 if features.given_sd else 1, models.settings.min_share)
     if effects and proposed:
         # without the law they had taken a part of it: their sizes are those beside it, as `improve` writes them
         law, was = as_finding(proposed[0]), {effect.effect: effect.energy_share for effect in effects}
@@ -304,7 +300,7 @@ def judged(seen: Examined, settings: Settings, laws: bool = True, tried: Collect
     written = [as_written(law, models, effects, held) for law in proposed]
     proposed = tuple(law for law, _ in written)
     if any(law.first.low <= 0.0 <= law.first.high for law in proposed):  # nothing beside the base, once both are fitted
-        return judged(seen, settings, laws=False)
+        return judged(seen, laws=False)
     named, stood_in = {effect.effect for effect in effects}, {name for law in proposed for name in law.instead_of}
     candidates = []
     for one in found.candidates:

@@ -285,7 +285,7 @@ class Rounds:
         again = replace(subject, priors={**added, **self.priors})
         tried = {name for name, n in self.nothing.items() if n > 1} | {*self.declined}
         seen = examine(again, self.split, self.battery, self.settings, models.clock)
-        last = diagnose_battery(again, self.split, self.battery, None, self.settings, seen=seen, tried=tried)
+        last = diagnose_battery(again, self.split, self.battery, self.settings, seen=seen, tried=tried)
         self.state = State(text, given, models, seen, last, tuple(effects))
 
 
@@ -317,13 +317,13 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     seen = examine(start, split, battery, settings)
     if seen.features.given_sd:  # refuted
         priors = dict.fromkeys(priors, NO_PRIOR_SD)
-    first = diagnose_battery(start, split, battery, None, settings, seen=seen)
+    first = diagnose_battery(start, split, battery, settings, seen=seen)
     rounds = Rounds(State(text, text, seen.models, seen, first), split, battery, settings, ask, priors)
     end = rounds.best()
     text, models, last, taken = end.text, end.models, end.last, end.taken
     if taken:  # what `diagnose` says of the file: it knows nothing of the base beside these logs
         made = Subject.of(robot_from_text(text))
-        last = diagnose_battery(made, split, battery, None, settings, seen=end.seen.known_as(made, split))
+        last = diagnose_battery(made, split, battery, settings, seen=end.seen.known_as(made, split))
     added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(heldout, added, start.model.batteries, models.runs)

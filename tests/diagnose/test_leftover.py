@@ -123,7 +123,7 @@ def test_watts_that_fitted_runs_hold_too_little_of_are_told(on: float, told: boo
     fitted = [run(seed, on if seed == 3 or not told else 0.0) for seed in range(8)]
     others = [run(seed, 1.0) for seed in (8, 9)]
     split = Split(tuple(fitted), tuple(others), "winter")
-    last = diagnose_battery(Subject.of(load_robot("pioneer3dx")), split, "robot", None, Settings())
+    last = diagnose_battery(Subject.of(load_robot("pioneer3dx")), split, "robot", Settings())
     note = fed_note(last, "robot", fitted, others)
     assert ("logged_power:power_heater_w --force" in note) is told
     assert ("% in the others" in note) is told
@@ -144,7 +144,7 @@ def test_what_the_runs_not_used_have_beyond_the_fitted_ones_is_told() -> None:
     turned = [drawing(one, one.power_w["robot"], heading_rad=np.full(100, 9.0 * i)) for i, one in enumerate(summer)]
     assert "heading_rad" not in beyond(turned[:3], turned[3:])[1]
     found = diagnose_battery(
-        Subject.of(load_robot("pioneer3dx")), Split(tuple(summer), tuple(winter), "later"), "robot", None, Settings()
+        Subject.of(load_robot("pioneer3dx")), Split(tuple(summer), tuple(winter), "later"), "robot", Settings()
     )
     assert found.heldout is not None
     assert {"surface (snow)", "temp_ambient_c"} <= {*found.heldout.beyond}

@@ -36,7 +36,7 @@ def alone(logs: list[LogTable], name: str, settings: Settings) -> tuple[str, Spl
     made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="590 kg", drive="skid_steer"), split.train)
     subject = Subject.of(robot_from_text(made.text))
     (fit,) = made.fits
-    return made.text, split, diagnose_battery(subject, split, "robot", None, settings), fit.after.power_rmse_w
+    return made.text, split, diagnose_battery(subject, split, "robot", settings), fit.after.power_rmse_w
 
 
 def test_a_short_drive_is_judged_alike_by_all_commands(warthog: list[LogTable]) -> None:
@@ -50,7 +50,7 @@ def test_a_short_drive_is_judged_alike_by_all_commands(warthog: list[LogTable]) 
     assert found.noise["sd_w"] < rmse_w  # it was predicted from a third of the run, and told as noise
     for asked, formula in (("turning_scrub", False), ("k * abs(yaw_rate_rad_s)", True)):
         with pytest.raises(NotSignificant, match="48 % of the energy ± 26: not significant"):
-            adopt(text, robot_from_text(text), split, asked, "robot", Settings(), formula=formula)
+            adopt(text, split, asked, "robot", Settings(), formula=formula)
     assert improve(text, split, "robot", Settings(), lambda *_: True).added == ()
 
 
@@ -61,11 +61,11 @@ def test_what_the_parts_of_a_drive_are_predicted_as_well_without_is_not_named(wa
     text, split, found, _ = alone(warthog, "grass_2024_8_8_16h19", settings)
     assert [effect.effect for effect in found.effects] == ["turning_scrub"]
     with pytest.raises(NotSignificant, match="comes to nothing beside the others"):
-        adopt(text, robot_from_text(text), split, "aerodynamic_drag", "robot", settings)
+        adopt(text, split, "aerodynamic_drag", "robot", settings)
     made = improve(text, split, "robot", settings, lambda *_: True)
     assert made.added == ("turning_scrub",)
     turning, *_ = made.written
-    k = adopt(text, robot_from_text(text), split, "turning_scrub", "robot", settings).effect.parameters["k"]
+    k = adopt(text, split, "turning_scrub", "robot", settings).effect.parameters["k"]
     assert k == found.effects[0].parameters["k"]
     assert k.value == pytest.approx(turning.parameters["k"].value, rel=1e-6)
     # one number, one interval

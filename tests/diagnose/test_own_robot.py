@@ -118,7 +118,7 @@ def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) 
         "turning_scrub",
         "payload",
     }
-    adopted = adopt(made.text, robot, split, "turning_scrub", BATTERY, Settings())
+    adopted = adopt(made.text, split, "turning_scrub", BATTERY, Settings())
     path = tmp_path / "own.yaml"
     path.write_text(adopted.text, encoding="utf-8")
     for log in logs:
@@ -135,13 +135,13 @@ def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) 
 def test_two_effects_go_in_together_with_the_numbers_that_the_diagnosis_names() -> None:
     logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
     text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")
-    named = diagnose_battery(Subject.of(robot_from_text(text)), split, BATTERY, None, Settings())
+    named = diagnose_battery(Subject.of(robot_from_text(text)), split, BATTERY, Settings())
     together = {e.effect: e.parameters["k"].value for e in named.effects}
     assert set(together) == {"turning_scrub", "payload"}
     done = improve(text, split, BATTERY, Settings(), lambda *_: True)
     effects = {e.effect: e.parameters["k"].value for e in robot_from_text(done.text).effects}
     assert effects == pytest.approx(together, rel=1e-6)
-    alone = adopt(text, robot_from_text(text), split, "payload", BATTERY, Settings())
+    alone = adopt(text, split, "payload", BATTERY, Settings())
     assert alone.effect.parameters["k"].value == pytest.approx(together["payload"], rel=1e-6)
 
 
@@ -160,7 +160,7 @@ def test_improve_lowers_the_error_of_a_calibrated_robot(monkeypatch: pytest.Monk
     steps = {step.name: step.power_rmse_w for step in done.steps}
     assert steps["+ turning_scrub"] < 0.5 * steps["recalibrated"]
     assert len(examined) == 2
-    found = diagnose_battery(Subject.of(robot_from_text(done.text)), split, BATTERY, None, Settings())
+    found = diagnose_battery(Subject.of(robot_from_text(done.text)), split, BATTERY, Settings())
     assert json.dumps(done.last.to_json()) == json.dumps(found.to_json())
 
 
@@ -287,7 +287,7 @@ def test_a_base_that_only_made_up_for_a_law_is_not_called_far_from_right() -> No
         law = 12.0 * np.sqrt(np.abs(log.columns["speed_m_s"])) * np.abs(log.columns["yaw_rate_rad_s"])
         logs.append(drawing(log, log.power_w[BATTERY] + law))
     subject = Subject.of(robot_from_text(robot_text("pioneer3dx")))
-    found = diagnose_battery(subject, Split(tuple(logs), (), ""), BATTERY, None, Settings())
+    found = diagnose_battery(subject, Split(tuple(logs), (), ""), BATTERY, Settings())
     assert [law.first.formula for law in found.proposed_laws] == ["k * abs(speed_m_s)**0.5 * abs(yaw_rate_rad_s)"]
     assert "far from right" not in found.unexplained.shape
     assert {one.parameter for one in found.recalibration} >= {"c2", "c3", "c4"}
@@ -304,7 +304,7 @@ def test_a_law_of_what_an_effect_reads_takes_its_place() -> None:
         power = log.power_w[BATTERY] + 16.0 * np.maximum(load - 0.15, 0.0) ** 1.3
         logs.append(drawing(log, power, cpu_load=load))
     subject = Subject.of(robot_from_text(robot_text("pioneer3dx")))
-    found = diagnose_battery(subject, Split(tuple(logs), (), ""), BATTERY, None, Settings())
+    found = diagnose_battery(subject, Split(tuple(logs), (), ""), BATTERY, Settings())
     assert [effect.effect for effect in found.effects] == []
     (law,) = found.proposed_laws
     assert (law.certain, law.instead_of) == (("cpu_load",), ("cpu_load",))
@@ -350,14 +350,15 @@ def test_held_out_runs_without_the_column_of_what_was_added_do_not_test_it() -> 
         assert "the fitted runs do not show" not in done.stopped
 
 
-def test_one_run_repeats_nothing() -> None:
+def test_one_run_repeats_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("missionsim.diagnose.examine.propose", lambda *_: None)
     log = drive(1, seconds=400.0)
     speed = log.columns["speed_m_s"]
     power = log.power_w[BATTERY] + 300.0 * speed * np.gradient(speed, log.time_s)
     log = replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power})
     made = calibrate_new(NewRobot("own", BASE, mass="25 kg"), [log])
     subject = Subject.of(robot_from_text(made.text))
-    named = diagnose_battery(subject, Split((log,), (), ""), BATTERY, None, Settings(), laws=False)
+    named = diagnose_battery(subject, Split((log,), (), ""), BATTERY, Settings())
     assert [effect.effect for effect in named.effects] == ["acceleration"]
     assert "repeated" not in named.effects[0].level
     assert "each run" not in sure(named)

@@ -17,7 +17,6 @@ from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.findings import Estimate, Finding, Recalibrated
-from missionsim.identify.settings import Settings
 from tests.diagnose.test_words import BATTERY, GRADE
 
 AT_FIRST = Clock(0.2, 0.3, (0.0, 0.0))
@@ -140,11 +139,14 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(
-        of_all_braking=tuple, certain=lambda effects, *_: (effects, None), leaning=lambda effects, _: effects
+        settings=SimpleNamespace(min_share=0.0),
+        of_all_braking=tuple,
+        certain=lambda effects, *_: (effects, None),
+        leaning=lambda effects, _: effects,
     )
     monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
     seen = SimpleNamespace(features=features, found=found, models=models, held=(), law=lambda: law)
-    _, _, proposed, *_ = diagnosis.judged(seen, Settings(), True, tried)  # type: ignore[arg-type]
+    _, _, proposed, *_ = diagnosis.judged(seen, tried)  # type: ignore[arg-type]
     assert len(proposed) == laws
 
 
@@ -239,6 +241,7 @@ def test_the_size_of_an_effect_is_that_beside_the_law(
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=(alone,), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(
+        settings=SimpleNamespace(min_share=0.0),
         of_all_braking=tuple,
         certain=lambda effects, *_: (effects, "alone"),
         leaning=lambda effects, _: effects,
@@ -250,7 +253,7 @@ def test_the_size_of_an_effect_is_that_beside_the_law(
     monkeypatch.setattr(diagnosis, "with_law", lambda *_: with_it)
     monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
     seen = SimpleNamespace(features=features, found=found, models=models, held=(), law=lambda: law)
-    named_ = diagnosis.judged(seen, Settings())  # type: ignore[arg-type]
+    named_ = diagnosis.judged(seen)  # type: ignore[arg-type]
     kept = (beside,) if stays else ()
     assert (named_.effects, named_.fitted) == (kept, (kept, True))
     assert named_.proposed == (Formed(() if stays else ("scrub",)),)
