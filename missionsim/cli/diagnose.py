@@ -23,7 +23,6 @@ from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
 from missionsim.inputs.loading import load_robot
 from missionsim.numerals import bare, meter_clock, rounded, watts
-from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
 
 
@@ -49,6 +48,8 @@ def diagnose(
     to.emit(result.to_json())
     asked = sentences.Asked(search.robot, logs, search.given)
     if report is not None:
+        from missionsim.report.diagnosis_page import diagnosis_page
+
         footer = f"missionsim {__version__}, missionsim diagnose"
         write_text(report, diagnosis_page(result, footer=footer, asked=asked))
     if to.text:
@@ -165,6 +166,8 @@ def improve(
     left = {name: " ".join(str(error).split()) for name, error in skipped.items()}
     to.emit({**found, "batteries": {d.battery: d.to_json() for d in done}, "skipped": left, "left_out": split.left_out})
     if report is not None:
+        from missionsim.report.diagnosis_page import improve_page
+
         write_text(report, improve_page(spec.name, done, advice=advice))
     for name in [] if to.quiet else [name for name in without or () if name not in refused]:
         print(visible(f"warning: --without {name}: nothing of that name was about to be added"), file=sys.stderr)

@@ -151,7 +151,7 @@ def schema(*kind: str, robot: str | None = None, out: OutFolder | None = None, t
     from missionsim.inputs.schemas import schema_text
 
     spec = None if robot is None else load_robot(robot)
-    kinds = tuple(dict.fromkeys(kind)) or KINDS
+    kinds = tuple(dict.fromkeys(kind)) or tuple(KINDS)
     if len(kinds) > 1 and kind and out is None and to.json is None:
         raise InputError.single("several schemas need --out or --json", got=", ".join(kinds), allowed="--out DIR")
     made = {name: make(name, spec) for name in kinds}

@@ -17,9 +17,9 @@ from missionsim.inputs.examples import robot_file
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter, parameters
-from missionsim.inputs.schemas import SCHEMA_FOLDER
 from missionsim.physics.lag import Meter
 
+SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
 _SCHEMA_LINE = re.compile(r"^(# yaml-language-server: \$schema=)(\S+)[ \t]*$", re.MULTILINE)
 _NUMBERS = ("value", "sd", "low", "high")
 _DIGITS = 7

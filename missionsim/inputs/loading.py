@@ -4,27 +4,36 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, cast
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs import overrides as override_rules
-from missionsim.inputs.base import FileModel
-from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.examples import files_near, find_robot, is_file, robot_file, unknown_robot
-from missionsim.inputs.mission import MissionSpec, RobotAtSite, StudySpec
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Document, Where, as_written, parse_document, read_document
-from missionsim.inputs.validation import Loaded, validate_document
+from missionsim.inputs.validation import validate_document
 
 if TYPE_CHECKING:
+    from missionsim.inputs.base import FileModel
+    from missionsim.inputs.environment import EnvironmentSpec
     from missionsim.inputs.log_map import MapSpec
+    from missionsim.inputs.mission import MissionSpec, StudySpec
     from missionsim.inputs.task import TaskSpec
 
-KINDS = ("robot", "environment", "mission", "study", "map", "task")
+KINDS = {
+    "robot": "robot.RobotSpec",
+    "environment": "environment.EnvironmentSpec",
+    "mission": "mission.MissionSpec",
+    "study": "mission.StudySpec",
+    "map": "log_map.MapSpec",
+    "task": "task.TaskSpec",
+}
+"""Where the model of each kind of file is."""
 Override = tuple[str, Any]
 RobotLike = str | os.PathLike[str] | RobotSpec
 _REMEMBERED: ContextVar[dict[Any, Any] | None] = ContextVar("remembered", default=None)
@@ -55,22 +64,22 @@ def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Overrid
     InputError
         All faults of the file.
     """
-    return _finished(robot_file(name_or_path), RobotSpec, overrides)
+    return cast("RobotSpec", _finished(robot_file(name_or_path), "robot", overrides))
 
 
 def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
     """A robot from the text of its file; `name` is what messages call it."""
-    return _finished(name, RobotSpec, document=parse_document(text, name=name))
+    return cast("RobotSpec", _finished(name, "robot", document=parse_document(text, name=name)))
 
 
 def mission_from_text(text: str, robot: RobotSpec) -> MissionSpec:
     """A mission of a loaded robot from the text of its file; see `robot_from_text`."""
-    return _finished("mission", MissionSpec, (), robot, parse_document(text, name="mission"))
+    return cast("MissionSpec", _finished("mission", "mission", (), robot, parse_document(text, name="mission")))
 
 
 def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
     """Load an environment file; see `load_robot`."""
-    return _finished(path, EnvironmentSpec, overrides)
+    return cast("EnvironmentSpec", _finished(path, "environment", overrides))
 
 
 def load_mission(
@@ -92,40 +101,30 @@ def load_mission(
     InputError
         All faults of all files.
     """
-    return _finished(path, MissionSpec, overrides, robot)
+    return cast("MissionSpec", _finished(path, "mission", overrides, robot))
 
 
 def load_study(path: str | os.PathLike[str]) -> StudySpec:
     """Load a study file; its `mission` stays a path relative to it (`mission_path`)."""
-    return _finished(path, StudySpec)
+    return cast("StudySpec", _finished(path, "study"))
 
 
 def load_map(path: str | os.PathLike[str]) -> MapSpec:
     """Load a map for ``missionsim import``; faults in its formulas are told too."""
-    from missionsim.inputs.log_map import MapSpec
-
-    return _finished(path, MapSpec)
+    return cast("MapSpec", _finished(path, "map"))
 
 
 def load_task(
     path: str | os.PathLike[str], overrides: Sequence[Override] = (), robot: str | os.PathLike[str] | None = None
 ) -> TaskSpec:
     """Load a task with its robot and environment; see `load_mission`."""
-    from missionsim.inputs.task import TaskSpec
-
-    return _finished(path, TaskSpec, overrides, robot)
+    return cast("TaskSpec", _finished(path, "task", overrides, robot))
 
 
 def model_of(kind: str) -> type[FileModel]:
-    """Model of a kind of file, one of `KINDS`."""
-    if kind in ("map", "task"):
-        # only few commands need them; every run would pay for them
-        from missionsim.inputs.log_map import MapSpec
-        from missionsim.inputs.task import TaskSpec
-
-        return MapSpec if kind == "map" else TaskSpec
-    models: tuple[type[FileModel], ...] = (RobotSpec, EnvironmentSpec, MissionSpec, StudySpec)
-    return dict(zip(KINDS, models, strict=False))[kind]
+    """Model of a kind of file, one of `KINDS`; loaded when it is asked for, since no command needs all."""
+    module, _, name = KINDS[kind].partition(".")
+    return cast("type[FileModel]", getattr(importlib.import_module(f"missionsim.inputs.{module}"), name))
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
@@ -137,10 +136,10 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
             continue
         kind = document.data.get("kind") if isinstance(document.data, dict) else None
         if not isinstance(kind, str) or kind not in KINDS:
-            faults.append(_kind_fault(document, KINDS))
+            faults.append(_kind_fault(document, tuple(KINDS)))
             continue
-        made = _load(path, model_of(kind), faults, document=document)
-        if isinstance(made, StudySpec) and made.whole:
+        made = _load(path, kind, faults, document=document)
+        if kind == "study" and made is not None and made.whole:
             _check_study(made, faults)
     return sorted(set(faults))
 
@@ -153,7 +152,7 @@ def _check_study(study: StudySpec, faults: list[Fault]) -> None:
         return
     common = list(study.baseline.items())
     known: list[Fault] = []
-    made = _load(target, MissionSpec, known, common, study.robot)
+    made = _load(target, "mission", known, common, study.robot)
     if made is None or any(fault.severity == "error" for fault in known):
         faults.extend(known)
         return
@@ -167,7 +166,7 @@ def _check_study(study: StudySpec, faults: list[Fault]) -> None:
     ]
     for where, extra, robot in cases:
         found: list[Fault] = []
-        _load(target, MissionSpec, found, [*common, *extra], robot or study.robot)
+        _load(target, "mission", found, [*common, *extra], robot or study.robot)
         line, column = study.document.position(where)
         for fault in set(found) - set(known):
             here = dataclasses.replace(fault, file=study.document.file, line=line, column=column)
@@ -176,14 +175,14 @@ def _check_study(study: StudySpec, faults: list[Fault]) -> None:
 
 def _finished(
     path: str | os.PathLike[str],
-    model: type[Loaded],
+    kind: str,
     overrides: Sequence[Override] = (),
     robot: RobotLike | None = None,
     document: Document | None = None,
-) -> Loaded:
+) -> Any:
     """What `_load` makes of a file; InputError with all faults of all files where there are any."""
     faults: list[Fault] = []
-    made = _load(Path(path), model, faults, overrides, robot, document)
+    made = _load(Path(path), kind, faults, overrides, robot, document)
     errors = [fault for fault in faults if fault.severity == "error"]
     if errors or made is None:
         raise InputError(errors)
@@ -193,20 +192,19 @@ def _finished(
 
 def _load(
     path: Path,
-    model: type[Loaded],
+    kind: str,
     faults: list[Fault],
     overrides: Sequence[Override] = (),
     robot: RobotLike | None = None,
     document: Document | None = None,
     prefix: str = "",
-) -> Loaded | None:
+) -> Any:
     """Read, set overrides, validate, run the checks; None where the file is too broken to say more. A mission or a task
     comes with the robot (`robot`, or its own) and the environment that it names."""
-    at_site = issubclass(model, RobotAtSite)
+    at_site = kind in ("mission", "task")
     known = None if document is not None or overrides or at_site else _REMEMBERED.get()
-    key = (path, model, prefix)
+    key = (path, kind, prefix)
     if known is not None and key in known:
-        made: Loaded | None
         made, found = known[key]
         faults.extend(found)
         return made
@@ -216,9 +214,8 @@ def _load(
         document.prefix = prefix
         by_file = override_rules.route(overrides) if at_site else {"": list(overrides)}
         found += override_rules.apply(document, by_file[""])
-        kind = get_args(model.model_fields["kind"].annotation)[0]
         if isinstance(document.data, dict) and document.data.get("kind") == kind:
-            made = validate_document(document, model, found)
+            made = validate_document(document, model_of(kind), found)
         else:
             found.append(_kind_fault(document, (kind,)))
         if at_site:
@@ -246,19 +243,19 @@ def _companions(
     if isinstance(given, RobotSpec):
         robot = given
         if by_file["robot"]:
-            robot = _load(given.path, RobotSpec, faults, by_file["robot"], prefix="robot.")
+            robot = _load(given.path, "robot", faults, by_file["robot"], prefix="robot.")
     elif given is not None or (isinstance(data.get("robot"), str) and data["robot"]):
         reference = str(data["robot"] if given is None else given)
         found = find_robot(reference, path.parent if given is None else None) if reference else None
         if found is None:
             faults.append(unknown_robot(reference, document if given is None else None, ("robot",)))
         else:
-            robot = _load(found, RobotSpec, faults, by_file["robot"], prefix="robot.")
+            robot = _load(found, "robot", faults, by_file["robot"], prefix="robot.")
     named = data.get("environment")
     if isinstance(named, str) and named:
         target = path.parent / named
         if is_file(target):
-            environment = _load(target, EnvironmentSpec, faults, by_file["environment"], prefix="environment.")
+            environment = _load(target, "environment", faults, by_file["environment"], prefix="environment.")
         else:
             message, allowed = "no such environment file", "a path relative to this file"
             got, hint = as_written(named), did_you_mean(named, files_near(document.file, named))

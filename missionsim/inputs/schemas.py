@@ -18,7 +18,6 @@ from missionsim.inputs.segments import SEGMENT_KINDS
 from missionsim.inputs.tree import read_document
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
 
 
 def schema(kind: str, robot: RobotSpec | None = None) -> Schema:

@@ -23,7 +23,7 @@ from missionsim.runs.run import Run
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from missionsim.inputs import RobotSpec
+    from missionsim.inputs.robot import RobotSpec
 
 
 def iter_blocks(

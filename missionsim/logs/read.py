@@ -24,7 +24,7 @@ from missionsim.logs.times import TimeAxis
 from missionsim.runs.run import Run, row_durations
 
 if TYPE_CHECKING:
-    from missionsim.inputs import RobotSpec
+    from missionsim.inputs.robot import RobotSpec
     from missionsim.logs.blocks import LongRun
 
 PathLike = str | os.PathLike[str]

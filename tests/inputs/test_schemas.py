@@ -12,8 +12,9 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
+from missionsim.inputs.edit import SCHEMA_FOLDER
 from missionsim.inputs.loading import KINDS, load_robot
-from missionsim.inputs.schemas import SCHEMA_FOLDER, key_words, schema, schema_text, unit_pattern
+from missionsim.inputs.schemas import key_words, schema, schema_text, unit_pattern
 from missionsim.inputs.tree import parse_document
 
 ROOT = Path(__file__).resolve().parents[2]
