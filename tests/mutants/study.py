@@ -73,8 +73,8 @@ MUTANTS = [
     *_of(
         "plan",
         "plan/kinematics.py",
-        ("up = 2.0 * accel[..., None] * distance", "up = accel[..., None] * distance"),
-        ("down = 2.0 * decel[..., None] * distance", "down = 2.0 * accel[..., None] * distance"),
+        ("up, down = 2.0 * accel * distance", "up, down = accel * distance"),
+        ("2.0 * decel * distance", "2.0 * accel * distance"),
         ("np.minimum(ceiling[..., :-1], ceiling[..., 1:])", "np.maximum(ceiling[..., :-1], ceiling[..., 1:])"),
         ("+ decel * np.square(before)", "+ accel * np.square(before)"),
         ("np.maximum(np.minimum(free, limit)", "np.maximum(np.maximum(free, limit)"),
