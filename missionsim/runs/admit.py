@@ -77,6 +77,9 @@ def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
 
         other_units, doubtful = _factors(own, [_ratio(one, battery) for one in driven], level, battery)
         found |= other_units
+        if doubtful:  # a straight run is odd only for a model that lacks what turning costs
+            draws = Usual.drawn([run for run in own if run.run not in found], doubtful, battery, EXPLAINED)
+            doubtful = {name: why for name, why in doubtful.items() if name not in draws}
         left = [one for one in driven if one.run.run not in {*found, *doubtful, *apart}]
         if len(left) >= FEWEST_LEVELS:
             told, beside = _beside(Others(left, battery), model)

@@ -6,7 +6,7 @@ measured less modelled power on what is logged, within runs. What a known fault 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +72,16 @@ class Usual:
         """Measured energy of a run in times that of the others at its speeds; not a number where that is none."""
         usual_j = float((self.columns(run) @ self.watts) @ run.dt_s)
         return float(run.power_w[self.battery] @ run.dt_s) / usual_j if usual_j else float("nan")
+
+    @classmethod
+    def drawn(cls, runs: Sequence[Run], doubtful: Collection[str], battery: str, factor: float) -> set[str]:
+        """Doubtful runs that draw, within a factor, what the others do at such speeds and turns."""
+        moved = [run for run in runs if "speed_m_s" in run.columns and run.rows]
+        agree = [run for run in moved if run.run not in doubtful]
+        if len(agree) < FEWEST:
+            return set()
+        usual = cls(agree, battery)
+        return {run.run for run in moved if run.run in doubtful and 1.0 / factor < usual.ratio(run) < factor}
 
 
 class Others:

@@ -344,6 +344,20 @@ def test_a_run_is_as_late_as_a_meter_that_holds_its_value_makes_most_of_them() -
     assert told(runs) == []
 
 
+def test_a_straight_run_is_odd_only_for_a_model_without_scrub() -> None:
+    """Eleven runs turn half of the time, each as much as the others, and one does not."""
+    logs = []
+    for seed in range(20, 32):
+        run = drive(seed, seconds=400.0)
+        speed = run.columns["speed_m_s"] + np.random.default_rng(seed).normal(0.0, 1e-4, 400)
+        yaw = 0.8 * (run.time_s // 10.0 % 2.0) * (speed > 0.01) * (seed > 20)
+        turned = changed(run, speed_m_s=speed, yaw_rate_rad_s=yaw)
+        logs.append(replace(turned, power_w={"robot": run.power_w["robot"] + 40.0 * yaw}))
+    assert told(logs) == []
+    logs[0] = replace(logs[0], power_w={"robot": 0.6 * logs[0].power_w["robot"]})
+    assert [line.split(":")[0] for line in told(logs)] == ["run_20"]
+
+
 def test_runs_on_a_floor_that_costs_more_have_no_offset_of_a_meter() -> None:
     """Nine runs on tile, three in snow, that hardly rest: what snow takes looks as if it were there at rest."""
     runs = []
