@@ -108,7 +108,12 @@ class Finding:
     @property
     def doubt(self) -> str:
         """Why the name is not sure, in words; empty where it is."""
-        return "; ".join(filter(None, (self.remark, self.leans)))
+        every = list(self.parameters.values())
+        # levels of a label may sum to nothing and differ all the same
+        sizes = [(one.low, one.high) for one in every if one.unit == every[0].unit]
+        nought = all(low <= 0.0 <= high for low, high in [(self.share_low, self.share_high), *sizes])
+        small = "with what its form may err by, its 95 % interval holds nought" if nought else ""
+        return "; ".join(filter(None, (self.remark, self.leans, small)))
 
     def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""

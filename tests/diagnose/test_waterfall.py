@@ -96,7 +96,8 @@ def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
     [(-720.4, "−720 W"), (-1234.0, "−1,234 W"), (0.0123, "+0.012 W"), (4.07, "+4.1 W"), (0.0, "+0 W")],
 )
 def test_where_gives_watts_without_powers_of_ten(bias_w: float, told: str) -> None:
-    lines = dict(words.report(replace(BATTERY, where=(replace(BATTERY.where[0], bias_w=bias_w),))))
+    where = replace(BATTERY.where[0], seconds=2.0, gap_j=-2.0 * bias_w)
+    lines = dict(words.report(replace(BATTERY, where=(where,))))
     assert lines["WHERE"].endswith(f"model {told} against the meter")
 
 

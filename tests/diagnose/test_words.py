@@ -286,6 +286,24 @@ def test_a_doubt_of_an_effect_is_told_wherever_it_is_named() -> None:
     assert "that is grade" in words.headline(BATTERY)
 
 
+@pytest.mark.parametrize(
+    ("share_low", "sizes", "doubted"),
+    [
+        (-0.001, [(-0.1, 1.01)], True),
+        (0.001, [(0.1, 1.01)], False),
+        (-0.001, [(-3.0, -1.0), (-1.0, 2.0)], False),  # levels of a label may sum to nothing and differ
+    ],
+)
+def test_an_effect_whose_interval_holds_nought_may_be_there(
+    share_low: float, sizes: list[tuple[float, float]], doubted: bool
+) -> None:
+    """Copper loss of 0.7 % (-0.3 to 1.7) was told as sure where nothing of it was hidden."""
+    parameters = {f"k_{i}": Estimate(0.5 * (low + high), low, high, "N") for i, (low, high) in enumerate(sizes)}
+    small = replace(PAYLOAD, indistinguishable_from=(), share_low=share_low, parameters=parameters)
+    assert ("interval holds nought" in small.doubt) is doubted
+    assert ("that may be payload" in words.headline(replace(BATTERY, effects=(GRADE, small)))) is doubted
+
+
 def test_several_effects_go_in_together_and_options_stay() -> None:
     asked = sentences.Asked("own.yaml", ["logs"], "--holdout later")
     alone = sentences.next_step(BATTERY, asked)
