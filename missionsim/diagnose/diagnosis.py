@@ -290,7 +290,9 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
         beside = with_law(models, law.effect, law.effect)
         while True:
             (_, *told), _ = beside.certain([law, *effects])
-            faded = [e.effect for e in told if abs(e.energy_share) < REPLACED * abs(was[e.effect])]
+            small = [e for e in told if abs(e.energy_share) < REPLACED * abs(was[e.effect])]
+            needed = beside.needed_beside(law, told) if small else ()
+            faded = [e.effect for e in small if e not in needed or e.share_low <= 0.0 <= e.share_high]
             effects = tuple(effect for effect in told if effect.effect not in faded)
             proposed = tuple(replace(one, instead_of=(*one.instead_of, *faded)) for one in proposed)
             if not faded:

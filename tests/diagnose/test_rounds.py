@@ -230,13 +230,16 @@ class Formed:
     first: Any = field(default_factory=lambda: SimpleNamespace(low=1.0, high=2.0), compare=False)
 
 
-@pytest.mark.parametrize(("part", "stays"), [(0.4, True), (0.3, False)])
+@pytest.mark.parametrize(
+    ("part", "least", "needed", "stays"),
+    [(0.4, 0.1, False, True), (0.3, 0.1, False, False), (0.3, 0.1, True, True), (0.3, -0.1, True, False)],
+)
 def test_the_size_of_an_effect_is_that_beside_the_law(
-    monkeypatch: pytest.MonkeyPatch, part: float, stays: bool
+    monkeypatch: pytest.MonkeyPatch, part: float, least: float, needed: bool, stays: bool
 ) -> None:
     """Alone it had taken the law's part: scrub of 28 % of the energy (12 to 44 %) where none was."""
     (alone,) = named("scrub")
-    beside = replace(alone, energy_share=part * alone.energy_share)
+    beside = replace(alone, energy_share=part * alone.energy_share, share_low=least * alone.energy_share)
     law = Formed()
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=(alone,), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
@@ -248,7 +251,10 @@ def test_the_size_of_an_effect_is_that_beside_the_law(
         fit=lambda effects, fixed: (effects, fixed),
     )
     finding = replace(GRADE, effect="k * v")
-    with_it = SimpleNamespace(certain=lambda effects: ((finding, *[beside] * (len(effects) - 1)), None))
+    with_it = SimpleNamespace(
+        certain=lambda effects: ((finding, *[beside] * (len(effects) - 1)), None),
+        needed_beside=lambda _, effects: tuple(effects) if needed else (),
+    )
     monkeypatch.setattr(diagnosis, "as_finding", lambda _: finding)
     monkeypatch.setattr(diagnosis, "with_law", lambda *_: with_it)
     monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
