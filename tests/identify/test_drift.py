@@ -68,3 +68,6 @@ def test_names_that_begin_with_what_was_loaded_tell_no_order_of_the_day() -> Non
     payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
     names = tuple(f"{load}_{j}" for load in ("none", "some", "very") for j in range(COUNT // 3))
     assert not drifts_as_well(replace(model.design, names=names), [payload], [])
+    pairs = diagnosed(loaded([0.0, 4.0] * (COUNT // 2), 0.0, each_n=0.5)).choice.model
+    names = tuple(f"{'abcdefghi'[j // 2]}_{j}" for j in range(COUNT))
+    assert not drifts_as_well(replace(pairs.design, names=names), [payload], [])  # a difference of two is no drift
