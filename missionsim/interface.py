@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from missionsim.exchange.site import Site, SiteOptions
     from missionsim.fit.calibrate import Calibration
     from missionsim.identify.findings import Diagnosis
-    from missionsim.inputs.robot import RobotSpec
     from missionsim.planner.answer import Answer as PlanAnswer
     from missionsim.results.whatif import WhatIf
     from missionsim.runs.run import Run
@@ -254,7 +253,7 @@ def add_effect(
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
 
-    _, split = _split(robot, logs, holdout)
+    split = _split(robot, logs, holdout)
     made = adopt(robot_text(robot), split, effect, battery, Settings(), force=force)
     parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
     told = ", ".join(f"{name} = {p['value']:.4g}" for name, p in parameters.items())
@@ -271,7 +270,7 @@ def improve(
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
 
-    _, split = _split(robot, logs, holdout)
+    split = _split(robot, logs, holdout)
     done = run_improve(robot_text(robot), split, battery, Settings(), lambda finding, diagnosis: True)
     steps = [
         {"step": s.name, "power_rmse_w": s.power_rmse_w, "energy_error_pct": s.energy_error_pct} for s in done.steps
@@ -344,14 +343,13 @@ def _warn(left_out: Sequence[str], stacklevel: int = 3) -> None:
         warnings.warn(f"left out {line}", stacklevel=stacklevel)
 
 
-def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | None) -> tuple[RobotSpec, Split]:
+def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | None) -> Split:
     from missionsim.diagnose.split import read_split
     from missionsim.inputs.loading import load_robot
 
-    spec = load_robot(robot)
-    split = read_split(spec, _paths(logs), holdout)
+    split = read_split(load_robot(robot), _paths(logs), holdout)
     _warn(split.left_out, stacklevel=4)
-    return spec, split
+    return split
 
 
 def _pairs(values: Values | None) -> tuple[tuple[str, str], ...]:

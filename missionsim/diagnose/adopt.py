@@ -176,7 +176,7 @@ def adopt(
         fitted = models.fit(together, keep_base=not recalibrate)
         together = models.leaning(models.told(together, fitted), fitted)
     found = next(one for one in together if one.effect == effect)
-    if law is not None and found.share_low <= 0.0 <= found.share_high:
+    if law is not None and found.may_be_nothing:
         reason = f"{effect} comes to nothing beside the base once both are fitted together"
     if reason and not force:
         raise NotSignificant(reason)

@@ -278,21 +278,22 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
             # better in the place of one of them
             proposed = tuple(law for law in proposed if law.far_better or law.takes_over)
     effects = tuple(e for e in found.effects if not any(e.effect in law.instead_of for law in proposed))
-    if found.choice.forward is not None and effects and proposed:
+    if effects and proposed:
         law = as_finding(proposed[0])
-        effects = with_law(models, law.effect, law.effect).needed_beside(law, effects)
+        beside = with_law(models, law.effect, law.effect)
+        if found.choice.forward is not None:
+            effects = beside.needed_beside(law, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, models.settings.min_share)
     if effects and proposed:
         # without the law they had taken a part of it: their sizes are those beside it, as `improve` writes them
-        law, was = as_finding(proposed[0]), {effect.effect: effect.energy_share for effect in effects}
-        beside = with_law(models, law.effect, law.effect)
+        was = {effect.effect: effect.energy_share for effect in effects}
         while True:
             (_, *told), _ = beside.certain([law, *effects])
             small = [e for e in told if abs(e.energy_share) < REPLACED * abs(was[e.effect])]
             needed = beside.needed_beside(law, told) if small else ()
-            faded = [e.effect for e in small if e not in needed or e.share_low <= 0.0 <= e.share_high]
+            faded = [e.effect for e in small if e not in needed or e.may_be_nothing]
             effects = tuple(effect for effect in told if effect.effect not in faded)
             proposed = tuple(replace(one, instead_of=(*one.instead_of, *faded)) for one in proposed)
             if not faded:

@@ -207,7 +207,7 @@ class Models:
             fitted = self.fit(effects)
             told = self.told(effects, fitted)
             asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
-            nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
+            nothing = [one for one in asked if one.may_be_nothing and not self.lowers(one)]
             # levels of a label may differ and sum to nothing, and what hides behind the base may be needed all the same
             nothing = [one for one in nothing if not self._needed(one, told)]
             # the square of a load imitates products of speed, turning and cold

@@ -106,12 +106,17 @@ class Finding:
         return self.energy_share - self.back
 
     @property
+    def may_be_nothing(self) -> bool:
+        """Whether the interval of its share holds nought."""
+        return self.share_low <= 0.0 <= self.share_high
+
+    @property
     def doubt(self) -> str:
         """Why the name is not sure, in words; empty where it is."""
         every = list(self.parameters.values())
         # levels of a label may sum to nothing and differ all the same
         sizes = [(one.low, one.high) for one in every if one.unit == every[0].unit]
-        nought = all(low <= 0.0 <= high for low, high in [(self.share_low, self.share_high), *sizes])
+        nought = self.may_be_nothing and all(low <= 0.0 <= high for low, high in sizes)
         small = "with what its form may err by, its 95 % interval holds nought" if nought else ""
         return "; ".join(filter(None, (self.remark, self.leans, small)))
 
