@@ -79,10 +79,11 @@ class LeastSquares:
         q = len(design.layout.parameters)
         rows = np.vstack([design.residual, design.gradient[:q], design.phi, np.ones_like(design.y), design.y])
         pieces = -(-FEWEST_FOLDS // len(design.runs)) if len(design.runs) < FEWEST_FOLDS - 2 else 1
+        least = -(-FEWEST_FOLDS // (2 * len(design.runs)))
         folds: list[tuple[slice, int]] = []
         for number, run in enumerate(design.runs):
             length = float(design.duration_s[run].sum())
-            count = max(1, min(pieces, int(length // SHORTEST_FOLD_S)))
+            count = max(least, min(pieces, int(length // SHORTEST_FOLD_S)))
             edges = np.linspace(run.start, run.stop, count + 1).astype(int)
             folds += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
         sums = np.stack([(rows[:, part] * design.duration_s[part]) @ rows[:, part].T for part, _ in folds])

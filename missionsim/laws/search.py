@@ -103,7 +103,9 @@ class Search:
 
     def __init__(self, ground: Ground, grammar: Grammar, memory: bool = False) -> None:
         self.ground, self.grammar, self.memory = ground, grammar, memory
-        self.by_size = grammar.forms(memory)
+        few = ground.model.squares is not None and len(ground.design.runs) <= SEVERAL_RUNS
+        # what a product of three says of other runs than two is a guess
+        self.by_size = grammar.forms(memory)[: len(ground.design.runs) if few else None]
         self.penalties = [math.log(max(len(forms), 1)) for forms in self.by_size]
         rows = len(ground.design.y)
         self.every = max(1, math.ceil(rows / MOST_ROWS))
@@ -325,12 +327,13 @@ class Search:
         rows = np.arange(len(self.ground.design.y))
         exact = Sieve(self.ground, top.model.noise, rows, 1)
         unit = (x / np.where(level > 0.0, level, 1.0)[:, None]).astype(np.float32)
-        _, score, information, _ = exact(len(forms), lambda some, part: unit[some, part].copy())
+        _, score, information, absorbed = exact(len(forms), lambda some, part: unit[some, part].copy())
         gain = 0.5 * score**2 / np.maximum(information, 1e-300)
         share = score / np.maximum(information, 1e-300) / self.ground.mean_power_w
         found = [
             Scored(form, float(g), float(s), float(g) - self.penalty(form))
-            for form, g, s in zip(forms, gain, share, strict=True)
-            if s > 0.0 or any(self.grammar.factors[i].gives_back for i in form)
+            for form, g, s, part in zip(forms, gain, share, absorbed, strict=True)
+            if (s > 0.0 or any(self.grammar.factors[i].gives_back for i in form))
+            and (part < ABSORBED or form == top.form)
         ]
         return sorted(found, key=lambda one: -one.score)

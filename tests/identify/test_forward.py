@@ -481,3 +481,14 @@ def test_the_p_value_that_is_told_is_the_one_that_was_asked() -> None:
     (grade,) = found.effects
     (trial,) = (t for t in found.choice.forward.trials.values() if t.columns == found.choice.forward.chosen)
     assert grade.p_value == trial.p_value < 0.001
+
+
+@pytest.mark.parametrize(("runs", "seconds", "folds"), [(1, 60, 4), (1, 120, 4), (1, 600, 8), (2, 45, 4), (5, 45, 5)])
+def test_few_short_runs_are_cut_nevertheless(runs: int, seconds: int, folds: int) -> None:
+    """What a single stretch says of itself is no prediction: nothing would help, and everything be called small."""
+    rows, ends = runs * seconds, seconds * np.arange(runs + 1)
+    ones, layout = np.ones((1, rows)), SimpleNamespace(parameters=("c4",), prior_sd=np.ones(1))
+    cut = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    design = SimpleNamespace(layout=layout, runs=cut, duration_s=ones[0], residual=ones[0], gradient=ones, phi=ones)
+    design.y = ones[0]
+    assert len(LeastSquares.of(design).sums) == folds

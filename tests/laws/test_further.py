@@ -10,8 +10,10 @@ import pytest
 
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.identification import identify
+from missionsim.laws.adapter import ground_of
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.proposal import _own_meter, propose
+from missionsim.laws.search import Search
 from missionsim.runs.covariates import may_be_cause, remarks_on, repeated
 
 
@@ -144,3 +146,39 @@ def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -
     assert made is not None
     assert made.first.variables == ("camera",)
     assert made.first.k == pytest.approx(2.2, rel=0.1)
+
+
+def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
+    """A processor whose load costs more from 60 % on: how its cost goes with the load itself, the file says."""
+    rng, runs = np.random.default_rng(4), []
+    for number in range(8):
+        speed = np.repeat(rng.choice([0.0, 0.1, 0.3], 12), 25)
+        load = np.repeat(rng.uniform(0.05, 1.0, 30), 10)
+        gradient = {"c3": 4.0 * speed, "c4": np.full(300, 3.0), "cpu_load.k": 1.5 * load}
+        base = np.sum(list(gradient.values()), axis=0)
+        measured = base + 2.0 * np.maximum(load - 0.6, 0.0) + 0.1 * rng.standard_normal(300)
+        covariates = {"speed_m_s": speed, "cpu_load": load, "time_s": np.arange(300) + 0.5}
+        columns = {"grade": np.zeros(300)}
+        runs.append(
+            RunData(f"{number}", np.arange(300) + 0.5, np.ones(300), measured, base, gradient, columns, covariates)
+        )
+    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.5, "c4": 0.5, "cpu_load.k": 1.0})
+    ground = ground_of(found, [run.covariates for run in runs])
+    search = Search(ground, make_grammar(ground.covariates, set(), clocks=False))
+    form = {search.grammar.text((i,)): (i,) for i in range(len(search.grammar.factors))}
+    top = search.fit(form["k * max(cpu_load - 0.57, 0)"])
+    assert form["k * cpu_load"] not in [one.form for one in search._exactly(top, [*form.values()])]
+    made = propose(found, ground.covariates)
+    assert made is not None
+    assert made.certain == ("cpu_load",)
+
+
+@pytest.mark.parametrize(("runs", "most"), [(1, 1), (2, 2), (3, 3), (6, 3)])
+def test_a_law_beside_a_base_far_off_has_no_more_factors_than_there_are_runs(runs: int, most: int) -> None:
+    """Watts of one of several heaters, times a bend of the speed by chance: another run would have to show that."""
+    grammar = make_grammar(drives(), set())
+    design = SimpleNamespace(y=np.zeros(9), stretches=[slice(0, 9)], runs=[slice(0, 9)] * runs)
+    far, near = (
+        Search(SimpleNamespace(design=design, model=SimpleNamespace(squares=squares)), grammar) for squares in (1, None)
+    )
+    assert (len(far.by_size), len(near.by_size)) == (most, 3)
