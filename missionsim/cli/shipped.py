@@ -182,7 +182,7 @@ def examples(*, out: OutFolder | None = None, to: Output = TERMINAL) -> int:
         Folder for the files, made if need be; files with another content are not overwritten. Without it, the files
         are listed.
     """
-    from missionsim.inputs.examples import example_files, write_examples
+    from missionsim.inputs.loading import example_files, write_examples
 
     names = list(example_files()) if out is None else write_examples(out)
     to.emit({"schema": "missionsim.examples/1", "out": out, "files": names})

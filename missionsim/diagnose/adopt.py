@@ -16,7 +16,7 @@ from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
-from missionsim.fit.provenance import CALIBRATION, as_fitted, fitted_source, ranges_of
+from missionsim.fit.parameters import CALIBRATION, as_fitted, fitted_source, ranges_of
 from missionsim.identify.findings import AT_BOUND, Estimate, Finding, HeldOut
 from missionsim.identify.identification import fit_effects
 from missionsim.identify.settings import Settings

@@ -15,7 +15,7 @@ from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.fit.final import of_formula
-from missionsim.fit.provenance import fitted_to, sd_on_other_logs
+from missionsim.fit.parameters import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.design import TooShortError
 from missionsim.identify.identification import Identification, identify, refutes
@@ -76,7 +76,7 @@ class Subject:
 def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Run]) -> float:
     """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs.
 
-    What was fitted to other logs is known less well here than there, see `missionsim.fit.provenance.sd_on_other_logs`.
+    What was fitted to other logs is known less well here than there, see `missionsim.fit.parameters.sd_on_other_logs`.
     """
     source = subject.robot.sources.get(parameter.source, parameter.source)
     return NO_PRIOR_SD if fitted_to(source, logs) else sd_on_other_logs(parameter.prior_sd, source)

@@ -16,10 +16,12 @@ from missionsim.effects.covariates import elapsed, is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import FUNCTIONS, compile_expression
-from missionsim.fit.parameters import FittedParameter, ModelFit, fit_parameters
-from missionsim.fit.provenance import (
+from missionsim.fit.parameters import (
     CALIBRATION,
+    FittedParameter,
+    ModelFit,
     as_fitted,
+    fit_parameters,
     fitted_source,
     fitted_to,
     ranges_of,

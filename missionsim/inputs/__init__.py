@@ -3,7 +3,13 @@
 `load_robot`, `load_environment`, `load_mission` and `load_study` read files, `check_files` tells all their faults.
 """
 
-from missionsim.inputs.examples import shipped_robots
-from missionsim.inputs.loading import check_files, load_environment, load_mission, load_robot, load_study
+from missionsim.inputs.loading import (
+    check_files,
+    load_environment,
+    load_mission,
+    load_robot,
+    load_study,
+    shipped_robots,
+)
 
 __all__ = ["check_files", "load_environment", "load_mission", "load_robot", "load_study", "shipped_robots"]

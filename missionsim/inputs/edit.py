@@ -13,8 +13,7 @@ from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
-from missionsim.inputs.examples import robot_file
-from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.loading import robot_file, robot_from_text
 from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter, parameters
 from missionsim.physics.lag import Meter

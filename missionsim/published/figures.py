@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.files import fields_of
 from missionsim.inputs import load_mission, load_robot
-from missionsim.inputs.examples import examples_folder
+from missionsim.inputs.loading import examples_folder
 from missionsim.inputs.tree import read_document
 
 if TYPE_CHECKING:

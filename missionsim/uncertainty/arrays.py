@@ -28,9 +28,18 @@ from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import plan_runs
 from missionsim.plan.legs import Plan
-from missionsim.uncertainty import matrices
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.events import Part, charge_course, phases_of
+from missionsim.uncertainty.intervals import (
+    PROGRESS_POINTS,
+    Intervals,
+    Part,
+    Progress,
+    charge_course,
+    distance_of,
+    one_after_the_other,
+    phases_of,
+    running_sum,
+)
 from missionsim.uncertainty.single import columns_of, components_of, simulate_block
 
 Array = NDArray[np.float64]
@@ -40,7 +49,7 @@ CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
 MOST_NUMBERS = 2_000_000
 """Numbers of a matrix of runs × intervals; runs are planned and evaluated in parts of at most so many."""
-_PARTS = np.linspace(0.0, 1.0, matrices.PROGRESS_POINTS)
+_PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
 # the C library keeps what arrays of up to this size give back, in place of asking the system for each anew (malloc(3):
 # its threshold grows to the largest block that was ever freed)
 _largest = np.empty(24 << 20, dtype=np.uint8)
@@ -133,7 +142,7 @@ class ArrayMission:
 
     def _piece(
         self,
-        intervals: matrices.Intervals,
+        intervals: Intervals,
         part: slice,
         setup: RunSetup,
         values: Mapping[str, Array],
@@ -142,7 +151,7 @@ class ArrayMission:
     ) -> None:
         """Evaluate some runs into their part of the columns, in J and Wh."""
         duration = intervals.duration(part)
-        knots = matrices.running_sum(duration.T)
+        knots = running_sum(duration.T)
         sound = np.isfinite(knots[-1]) & (duration.min(axis=1) >= 0.0)
         again |= ~sound
         if not sound.all():
@@ -152,8 +161,8 @@ class ArrayMission:
         energy = self._energies(cov, rates, duration, knots, values, parts, intervals.part_of)
         for joules in parts.values():
             joules *= 1.0 / J_PER_WH
-        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], matrices.distance_of(cov, duration)
-        progress = matrices.Progress(knots, matrices.PROGRESS_POINTS)
+        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], distance_of(cov, duration)
+        progress = Progress(knots, PROGRESS_POINTS)
         for name, battery in setup.batteries.items():
             capacity, initial, reserve = (
                 number[part] if isinstance(number, np.ndarray) else number
@@ -164,7 +173,7 @@ class ArrayMission:
                 total = most = given * knots[-1]
                 charge = np.multiply.outer(_PARTS, total)
             else:
-                spent = matrices.running_sum(given.T)
+                spent = running_sum(given.T)
                 total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
             net = total
             if docked := [i for i, leg in enumerate(intervals.legs) if leg.recharge and name in leg.recharge.batteries]:
@@ -188,13 +197,13 @@ class ArrayMission:
             ):
                 np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 
-    def split(self, setup: RunSetup) -> tuple[matrices.Intervals, Truth]:
+    def split(self, setup: RunSetup) -> tuple[Intervals, Truth]:
         """Intervals of many runs, and which runs have another order of events."""
         whole = all(part.phase is None and not part.waits for part in self.parts)
         if whole and all(leg.recharge is None for leg in self.plan.legs):
-            return matrices.Intervals.of(setup.plan), False
+            return Intervals.of(setup.plan), False
         phases, which, odd = phases_of(setup.plan, self.plan, self.parts, [info.startup_s for info in setup.components])
-        return matrices.Intervals.of(setup.plan, phases, which), odd
+        return Intervals.of(setup.plan, phases, which), odd
 
     @functools.cached_property
     def _units(self) -> tuple[Array, Array]:
@@ -206,9 +215,7 @@ class ArrayMission:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
-    def covariates(
-        self, intervals: matrices.Intervals, part: slice, duration: Array, knots: Array
-    ) -> tuple[Columns, Columns]:
+    def covariates(self, intervals: Intervals, part: slice, duration: Array, knots: Array) -> tuple[Columns, Columns]:
         """Covariates at the start of each interval and their change per second. `part`: the runs; `duration`: shape
         (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between the intervals."""
         cov, rates = intervals.covariates(part)
@@ -217,7 +224,7 @@ class ArrayMission:
             cov[f"on_{name}"], cov[f"starting_{name}"] = (units[i, intervals.part_of] for units in self._units)
         if "moving_time_s" in self._needs:
             moving = cov["moving"]
-            cov["moving_time_s"] = matrices.running_sum((duration * moving).T)[:-1].T
+            cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
             rates["moving_time_s"] = moving
         start = knots[:-1].T
         for name in names:
@@ -240,7 +247,7 @@ class ArrayMission:
         setup, values = self._planned(self.sampler.at({v.name: np.array([0.3, 0.7]) for v in self.sampler.values}))
         intervals, part = self.split(setup)[0], slice(0, 2)
         duration = intervals.duration(part)
-        cov, rates = self.covariates(intervals, part, duration, matrices.running_sum(duration.T))
+        cov, rates = self.covariates(intervals, part, duration, running_sum(duration.T))
         for name in [*(name for name, rate in rates.items() if np.any(rate)), *self.model.lags]:
             cov[name] = np.broadcast_to(cov.get(name, 0.0), duration.shape) + np.array([[0.0], [1.0]])
         kept, still = list[Term](), {name: dict[str, Array]() for name in self.model.batteries}
@@ -286,7 +293,7 @@ class ArrayMission:
         curved, steady, steady_s = np.flatnonzero(changing), duration, lasts
         inside: dict[str, dict[TermKey, Array]] = {}
         if curved.size:
-            flat = matrices.one_after_the_other(cov, rates, duration, knots, curved)
+            flat = one_after_the_other(cov, rates, duration, knots, curved)
             own = {name: np.repeat(value[:, 0], curved.size) for name, value in values.items()}
             inside = integrate(model, flat, own, AGREEMENT)
             steady = np.where(changing, 0.0, duration)

@@ -13,7 +13,7 @@ from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
 from missionsim.uncertainty.draws import Sampler
-from missionsim.uncertainty.events import parts_of
+from missionsim.uncertainty.intervals import parts_of
 from missionsim.uncertainty.single import left_to_chance
 
 _CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)

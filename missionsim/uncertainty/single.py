@@ -20,7 +20,7 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.draws import Draws, Sampler, run_generator
-from missionsim.uncertainty.matrices import PROGRESS_POINTS
+from missionsim.uncertainty.intervals import PROGRESS_POINTS
 
 MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
 """Runs, and their intervals, whose energies are evaluated together."""

@@ -23,7 +23,7 @@ from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, Term, TermKey
 from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
 from missionsim.fit.final import final_fit
-from missionsim.fit.provenance import data_tag
+from missionsim.fit.parameters import data_tag
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Estimate, Finding
 from missionsim.identify.identification import identify

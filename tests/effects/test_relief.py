@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from missionsim.effects.library import get_effect
-from missionsim.inputs.examples import shipped_robots
-from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.loading import robot_from_text, shipped_robots
 from missionsim.inputs.power import build_power_model
 from missionsim.physics.motion import relieved_powers
 

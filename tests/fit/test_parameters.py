@@ -11,8 +11,7 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
-from missionsim.fit.parameters import fit_parameters
-from missionsim.fit.provenance import data_tag, fitted_source, fitted_to, log_hash
+from missionsim.fit.parameters import data_tag, fit_parameters, fitted_source, fitted_to, log_hash
 from missionsim.inputs.edit import Editing, robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model

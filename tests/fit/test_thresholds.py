@@ -14,8 +14,7 @@ from missionsim.errors import InputError
 from missionsim.fit import calibrate, final, parameters
 from missionsim.fit import prepare as prepared
 from missionsim.fit.calibrate import NewRobot, calibrate_new
-from missionsim.fit.parameters import FittedParameter
-from missionsim.fit.provenance import sd_on_other_logs
+from missionsim.fit.parameters import FittedParameter, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
