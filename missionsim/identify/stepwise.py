@@ -1,5 +1,5 @@
-"""Stepwise search: add the best effect, refit clock and noise, ask the gates, swap, until nothing passes; then the exact
-fit of shape parameters (time constants, reference temperatures) by profile likelihood (docs/method.md)."""
+"""Stepwise search: add the best effect, refit clock and noise, ask the gates, swap, until nothing passes; then the
+exact fit of shape parameters (time constants, reference temperatures) by profile likelihood (docs/method.md)."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault
-from missionsim.inputs.check_floors import strange_floors
 from missionsim.inputs.checker import Checker
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter, uncertain_values
+from missionsim.inputs.power import strange_floors
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import every_segment, flat_segments
 from missionsim.inputs.tree import Where

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from missionsim.errors import Fault
-from missionsim.inputs.check_floors import strange_floors
 from missionsim.inputs.checker import Checker
+from missionsim.inputs.power import strange_floors
 from missionsim.inputs.task import SpeedRange, TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.tree import Where
 

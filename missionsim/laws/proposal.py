@@ -19,8 +19,9 @@ from missionsim.identify.proposed import CLOCKS, FAR_BETTER, Curve, Law, Proposa
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import evaluate, make_grammar
-from missionsim.laws.gates import LEAST_SHARE, Gates, by_levels, gates, left_out
+from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
+from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
 from missionsim.numerals import watts
 from missionsim.physics import Array

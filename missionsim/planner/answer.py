@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.files import Json, fields_of
-from missionsim.inputs.examples import shipped_robots
+from missionsim.inputs.loading import shipped_robots
 from missionsim.inputs.task import SchemeChoice, VisitSpec
 from missionsim.numerals import in_wh
 from missionsim.physics import Array

@@ -14,8 +14,7 @@ import numpy as np
 
 from missionsim.errors import Fault, InputError
 from missionsim.files import Json, write_text
-from missionsim.inputs.examples import shipped_robots
-from missionsim.inputs.loading import Override, load_robot, load_task
+from missionsim.inputs.loading import Override, load_robot, load_task, shipped_robots
 from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.physics import Array
 from missionsim.plan.kinematics import group

@@ -212,7 +212,7 @@ def study(each: int, seed: int, only: Sequence[str], keep: Path | None) -> dict[
 
     import missionsim.cli.exchange
     import missionsim.cli.import_
-    import missionsim.cli.validate
+    import missionsim.cli.run
     import missionsim.importer.mapping
     import missionsim.logs.read
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.cli.app import read_call, run_command
+from missionsim.cli.app import check_targets, read_call, run_command
 from missionsim.cli.options import Call
-from missionsim.cli.targets import check_targets
 from missionsim.errors import InputError
 from missionsim.logs import read_log
 from missionsim.logs.blocks import write_log
