@@ -21,8 +21,9 @@ from missionsim.planner import reach as planner
 from missionsim.planner import why
 from missionsim.planner.answer import Answer, mission_text
 from missionsim.planner.chance import plan_task
-from missionsim.report.plan_page import plan_page
-from missionsim.report.site_map import map_of_plan, map_of_reach, write_map
+from missionsim.report.map_picture import site_figure
+from missionsim.report.page import save_figure
+from missionsim.report.site_map import legs_table, map_of_plan, map_of_reach, plan_page
 from missionsim.report.terminal import console, show_table, titled
 
 
@@ -86,7 +87,7 @@ def plan(
         write_text(out, mission_text(answer, out))
         written.append(out)
     if plot is not None:
-        written.append(write_map(map_of_plan(answer), plot))
+        written.append(save_figure(site_figure(map_of_plan(answer)), plot))
     if report is not None:
         write_text(report, plan_page(answer, footer=f"missionsim plan {task.name}"))
         written.append(report)
@@ -141,28 +142,15 @@ def show(answer: Answer) -> None:
         )
     energy = ", ".join(f"{name} {in_wh(value)} Wh" for name, value in answer.energy_wh.items())
     terminal.print(f"{clock(answer.duration_s)}, {energy}")
-    batteries = list(answer.energy_wh)
-    rows = []
-    for leg in answer.legs:
-        piece = leg.piece
-        chosen = None if leg.visit is None else leg.scheme or task.visits[leg.visit]
-        scheme = piece.legs[0].settings.scheme if piece is not None else (chosen and chosen.scheme) or ""
-        speed = f"{piece.limit_m_s:.2f}" if piece is not None else ""
-        edge = piece.name if piece is not None else ""
-        cells = [leg.kind, leg.place, edge, scheme, speed, f"{leg.duration_s:.1f}"]
-        cells += [in_wh(leg.energy_wh[name]) for name in batteries]
-        cells += [in_wh(leg.charge_wh[name]) for name in batteries]
-        rows.append(cells)
-    columns = ["leg", "to", "along", "scheme", ">m/s", ">s"]
-    columns += [f">{name} Wh" for name in batteries] + [f">{name} left" for name in batteries]
-    show_table("Legs", columns, rows)
+    columns, rows = legs_table(answer)
+    show_table("Legs", [*columns[:4], *(f">{column}" for column in columns[4:])], rows)
     for item in answer.extra.get("alternatives", ()):
         told = f"{100 * item['worse']:.2f} % worse, {clock(item['duration_s'])}" if item["feasible"] else "no plan"
         terminal.print(f"  {item['kind']}: {told}")
     front = answer.extra.get("pareto")
     if front:
-        heads = [">s", *(f">{name} Wh" for name in batteries)]
-        table = [[f"{p['duration_s']:.1f}", *(in_wh(p["energy_wh"][n]) for n in batteries)] for p in front]
+        heads = [">s", *(f">{name} Wh" for name in answer.energy_wh)]
+        table = [[f"{p['duration_s']:.1f}", *(in_wh(p["energy_wh"][n]) for n in answer.energy_wh)] for p in front]
         show_table("Energy against time", heads, table)
 
 
@@ -213,7 +201,7 @@ def reach(
     answer = planner.summary(task, found, probability)
     answer["warnings"] = [fault.message for fault in warnings.values()]
     if plot is not None:
-        write_map(map_of_reach(task.environment, task.start, found, probability), plot)
+        save_figure(site_figure(map_of_reach(task.environment, task.start, found, probability)), plot)
     to.emit(answer)
     if to.text:
         _show(answer)

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from missionsim.exchange.site import LocalPlane, Site, clean, says_charger, smooth_slopes
+from missionsim.exchange.site import LocalPlane, Site, clean, says_charger
 from missionsim.exchange.source import Element, Faults, finite
+from missionsim.physics import Array
 
 _USED = {"gpx": {"trk", "rte", "wpt"}, "trk": {"name", "trkseg"}, "trkseg": {"trkpt"}, "rte": {"name", "rtept"}}
 _POINT_USED = {"ele", "name"}
@@ -92,6 +93,27 @@ def _points(parent: Element, tag: str, faults: Faults) -> list[Point]:
             name = clean(point.first("name"))
             result.append((numbers[0], numbers[1], math.nan if height is None else height, name, point.line))
     return result
+
+
+def smooth_slopes(distance_m: Array, elevation_m: Array, ends_m: Array, width_m: float) -> Array:
+    """Slope of each section between neighbouring ends, from elevations with noise.
+
+    The height of an end is that of a straight line fitted to the elevations around it, weighted by a triangle that is
+    zero `width_m` away (local linear regression: a steady climb stays what it is, up to the ends of the track).
+    `distance_m`, `elevation_m` (shape (n,)): along the track; `ends_m`: shape (k,). Gives an array of shape (k - 1,):
+    rad, uphill positive.
+    """
+    height = np.empty(len(ends_m))
+    for index, end in enumerate(ends_m):
+        away = distance_m - end
+        reach = max(width_m, 1.001 * float(np.sort(np.abs(away))[min(2, len(away) - 1)]))
+        weight = np.maximum(0.0, 1.0 - np.abs(away) / reach)
+        total, first, second = weight.sum(), (weight * away).sum(), (weight * away**2).sum()
+        spread = total * second - first**2
+        level, moment = (weight * elevation_m).sum(), (weight * away * elevation_m).sum()
+        straight = spread > 1e-9 * max(total * second, 1e-12)
+        height[index] = (second * level - first * moment) / spread if straight else level / total
+    return np.arctan2(np.diff(height), np.maximum(np.diff(ends_m), 1e-9))
 
 
 def _chain(name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane, site: Site) -> list[str]:

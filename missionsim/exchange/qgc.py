@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError
-from missionsim.exchange.site import LocalPlane, Site
+from missionsim.exchange.site import LocalPlane, Site, stops_of
 from missionsim.exchange.source import Faults, Value
 from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
@@ -245,8 +245,6 @@ def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> 
     `origin`: latitude and longitude of the map's point 0, 0, degrees; by default what its notes say, as `import-site`
     writes. Raises InputError: no origin, or places without positions.
     """
-    from missionsim.exchange.route import stops_of
-
     environment = mission.environment
     stops, remarks = stops_of(mission)
     assert environment is not None

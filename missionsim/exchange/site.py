@@ -1,4 +1,5 @@
-"""A site read from another tool's file, its geometry, and the environment and mission that are written of it."""
+"""A site read from another tool's file, the environment and mission that are written of it; and the way a mission takes
+over its map, of which an order or a plan for another tool is written."""
 
 from __future__ import annotations
 
@@ -10,16 +11,17 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
 from missionsim.exchange.source import Value
 from missionsim.files import atomic_write, fields_of
 from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.robot import RobotSpec
-from missionsim.physics import Array
+
+if TYPE_CHECKING:
+    from missionsim.inputs.mission import MissionSpec
+
 
 EARTH_M, _E2 = 6_378_137.0, 6.694379990141e-3
 """Semi-major axis, m, and squared eccentricity of the WGS 84 ellipsoid."""
@@ -54,47 +56,6 @@ class LocalPlane:
             latitude += math.degrees((y - north) / EARTH_M)
             longitude += math.degrees((x - east) / (EARTH_M * math.cos(math.radians(latitude))))
         return latitude, longitude
-
-
-def nurbs_length(
-    points: Sequence[tuple[float, float]], weights: Sequence[float], knots: Sequence[float], degree: int
-) -> float | None:
-    """Length of a planar NURBS curve, m; None where degree, points and knots do not fit together. `points`: length n;
-    `weights`: length n; `knots`: length n + degree + 1."""
-    count = len(points)
-    if not 1 <= degree < count or len(knots) != count + degree + 1 or not all(w > 0 for w in weights):
-        return None
-    t = np.asarray(knots, float)
-    if np.any(np.diff(t) < 0) or t[count] <= t[degree]:
-        return None
-    from scipy.interpolate import BSpline
-
-    weight = np.asarray(weights, float)[:, None]
-    homogeneous = np.hstack([np.asarray(points, float) * weight, weight])
-    curve = BSpline(t, homogeneous, degree)(np.linspace(t[degree], t[count], 64 * count))
-    steps = np.diff(curve[:, :2] / curve[:, 2:], axis=0)
-    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-
-
-def smooth_slopes(distance_m: Array, elevation_m: Array, ends_m: Array, width_m: float) -> Array:
-    """Slope of each section between neighbouring ends, from elevations with noise.
-
-    The height of an end is that of a straight line fitted to the elevations around it, weighted by a triangle that is
-    zero `width_m` away (local linear regression: a steady climb stays what it is, up to the ends of the track).
-    `distance_m`, `elevation_m` (shape (n,)): along the track; `ends_m`: shape (k,). Gives an array of shape (k - 1,):
-    rad, uphill positive.
-    """
-    height = np.empty(len(ends_m))
-    for index, end in enumerate(ends_m):
-        away = distance_m - end
-        reach = max(width_m, 1.001 * float(np.sort(np.abs(away))[min(2, len(away) - 1)]))
-        weight = np.maximum(0.0, 1.0 - np.abs(away) / reach)
-        total, first, second = weight.sum(), (weight * away).sum(), (weight * away**2).sum()
-        spread = total * second - first**2
-        level, moment = (weight * elevation_m).sum(), (weight * away * elevation_m).sum()
-        straight = spread > 1e-9 * max(total * second, 1e-12)
-        height[index] = (second * level - first * moment) / spread if straight else level / total
-    return np.arctan2(np.diff(height), np.maximum(np.diff(ends_m), 1e-9))
 
 
 CHARGER_W = 100.0
@@ -352,3 +313,63 @@ def flow(value: object, key: str = "") -> str:
     text = str(value)
     plain = _PLAIN.fullmatch(text) and text.lower() not in _RESERVED
     return text if plain else json.dumps(text, ensure_ascii=False)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place on the way, and what is done there."""
+
+    place: str
+    speed_m_s: float | None = None
+    """On the way to it; None at the start."""
+    edge: str = ""
+    """Name of the edge to it; its ends where it has none."""
+    length_m: float = 0.0
+    """Of that edge."""
+    waits: tuple[tuple[str, float], ...] = ()
+    """What is done there, in words of ours (``wait``, ``inspect``), and for how long, s."""
+    recharge_until: float | None = None
+    """Fraction of the charge; 1 where charging lasts a time."""
+
+
+def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
+    """Places that a mission passes, in order, and what of it has no place in such a list. Raises InputError: a mission
+    without an environment, or that leaves the places of its map."""
+    from missionsim.plan.build import make_plan
+
+    environment = mission.environment
+    if environment is None or not mission.start:
+        allowed = "environment and start"
+        raise InputError.single("the mission has no map to drive on", file=str(mission.path), allowed=allowed)
+    told: dict[str, None] = {}
+    stops = [Stop(mission.start)]
+    passed = 0.0
+    for leg in make_plan(mission).legs:
+        here = stops[-1]
+        if leg.kind == "turn":
+            continue
+        if leg.kind == "stand":
+            if leg.duration_s > 0:
+                stops[-1] = replace(here, waits=(*here.waits, ("wait", leg.duration_s)))
+        elif leg.kind == "dock":
+            recharge = leg.recharge
+            until = 1.0 if recharge is None or recharge.until is None else recharge.until
+            stops[-1] = replace(here, recharge_until=until)
+            if recharge is not None and recharge.until is None:
+                told["charging for a time is written as charging until full"] = None
+        elif leg.edge is None:
+            allowed = "drives to places, along edges"
+            raise InputError.single("the mission leaves the places of its map", file=str(mission.path), allowed=allowed)
+        else:
+            passed += leg.distance_m
+            if abs(leg.edge.to_m - (environment.length_m(environment.edges[leg.edge.edge]) or 0.0)) > 1e-6:
+                continue  # a part of an edge: its end comes
+            spec = environment.edges[leg.edge.edge]
+            name = spec.name or f"{leg.edge.begin} to {leg.edge.end}"
+            stops.append(Stop(leg.edge.end, leg.speed_m_s, name, passed))
+            passed = 0.0
+        if leg.settings.payload_kg:
+            told["payloads have no place in it"] = None
+    if mission.activities:
+        told["activities (components switched on and off) have no place in it"] = None
+    return stops, list(told)

@@ -12,12 +12,15 @@ by the name of the station at it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from missionsim.errors import InputError
-from missionsim.exchange.site import Site, clean, nurbs_length, says_charger
+from missionsim.exchange.site import Site, clean, says_charger, stops_of
 from missionsim.exchange.source import Value, finite
 from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
@@ -111,6 +114,26 @@ def read_layout(root: Value, site: Site) -> None:
 def _types(one: Value) -> set[str]:
     """Types of vehicle that properties are for: one id (1.x), or names of series (2.0)."""
     return {one.word("vehicleTypeId"), *(kind.word("seriesName") for kind in one.entries("mobileRobotTypes"))} - {""}
+
+
+def nurbs_length(
+    points: Sequence[tuple[float, float]], weights: Sequence[float], knots: Sequence[float], degree: int
+) -> float | None:
+    """Length of a planar NURBS curve, m; None where degree, points and knots do not fit together. `points`: length n;
+    `weights`: length n; `knots`: length n + degree + 1."""
+    count = len(points)
+    if not 1 <= degree < count or len(knots) != count + degree + 1 or not all(w > 0 for w in weights):
+        return None
+    t = np.asarray(knots, float)
+    if np.any(np.diff(t) < 0) or t[count] <= t[degree]:
+        return None
+    from scipy.interpolate import BSpline
+
+    weight = np.asarray(weights, float)[:, None]
+    homogeneous = np.hstack([np.asarray(points, float) * weight, weight])
+    curve = BSpline(t, homogeneous, degree)(np.linspace(t[degree], t[count], 64 * count))
+    steps = np.diff(curve[:, :2] / curve[:, 2:], axis=0)
+    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
 
 def trajectory_length(trajectory: Value, site: Site, degree: int) -> float | None:
@@ -273,8 +296,6 @@ def order_of(
     `version`: of VDA 5050: ``2.0.0``, ``2.1.0`` or ``3.0.0``. `timestamp`: ISO 8601 in UTC,
     ``2026-01-01T00:00:00.000Z``; now where empty. `robot_id`: serial number; the manufacturer is the robot's name.
     """
-    from missionsim.exchange.route import stops_of
-
     if version not in VERSIONS:
         raise InputError.single("a version that is not written", got=version, allowed=", ".join(VERSIONS))
     if timestamp and not _is_timestamp(timestamp):

@@ -40,7 +40,8 @@ def write_figures(
     """
     figures = {"power": power_figure(result), "charge": charge_figure(result), "energy": energy_figure(result)}
     if environment is not None and result.edges_driven():
-        from missionsim.report.site_map import map_of_run, site_figure
+        from missionsim.report.map_picture import site_figure
+        from missionsim.report.site_map import map_of_run
 
         figures["site"] = site_figure(map_of_run(result, environment))
     return [save_figure(figure, Path(folder) / f"{name}.{format}") for name, figure in figures.items()]

@@ -1,26 +1,27 @@
-"""The map of a site: places, docks, edges by surface and slope; a route by energy per metre, the charge at places."""
+"""The map of a site: places, docks, edges by surface and slope; a route by energy per metre, the charge at places; and
+the interactive page of a plan: map, legs, charge over time, what else there was, or why there is none."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from missionsim.engine.outcome import RunResult
-from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
+from missionsim.numerals import in_wh
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
-from missionsim.report.map_text import Paper
-from missionsim.report.page import Chart, new_figure, save_figure
+from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Trace, Verdict, axis, page
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
+
 
 Points = Array
 SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")
@@ -150,101 +151,14 @@ def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reach
     return SiteMap(environment, f"reach from {start}", (), charges, colours, sorted(set(turns)))
 
 
-def write_map(site: SiteMap, path: Path) -> Path:
-    """Draw a map into a PNG or SVG file, by its suffix."""
-    return save_figure(site_figure(site), path)
-
-
-def site_figure(site: SiteMap) -> Figure:
-    """The map as a Matplotlib figure."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    where, curves = layout(site.environment)
-    span = np.maximum(np.ptp(np.array(list(where.values())), axis=0), 1e-9)
-    figure_width, height = 11.0, float(np.clip(9.0 * span[1] / max(span[0], 1e-9), 4.0, 9.5)) + 1.4
-    figure = new_figure(figure_width, height)
-    axes = figure.subplots()
-    axes.set_aspect("equal")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.set_xlabel("x [m] (wider edge: steeper; slope in the direction of its arrow)")
-    axes.set_ylabel("y [m]")
-    axes.margins(0.12)
-    axes.set_title(site.title, fontsize=10, loc="left")
-    size = float(max(span))
-    surfaces = _surfaces(site.environment)
-    shut = _shut(site.environment)
-    for index, edge in enumerate(site.environment.edges):
-        line, surface = curves[index], _surface(site.environment, edge)
-        if index in shut:
-            axes.plot(*line.T, color="#b0b0b0", linestyle=":", linewidth=1.6, label="closed", zorder=1)
-            axes.plot(*line[len(line) // 2], marker="x", color="#555555", markersize=8, zorder=2)
-            continue
-        width = 1.4 + 40.0 * min(abs(math.tan(edge.slope.value)), 0.15)
-        axes.plot(*line.T, color=surfaces[surface], linewidth=width, alpha=0.75, zorder=1, label=surface or "edge")
-    lines: list[Points] = []
-    if site.driven:
-        values = np.array([wh for *_, wh in site.driven])
-        low, high = float(values.min()), float(values.max())
-        norm = Normalize(low, high if high > low else low + 1e-9)
-        for number, begin, wh in site.driven:
-            line = shifted(curves[number], begin == site.environment.edges[number].from_, 0.009 * size)
-            colour = colormaps[SCALE](norm(wh))
-            axes.plot(*line.T, color=colour, linewidth=3.2, solid_capstyle="butt", zorder=3)
-            middle, ahead = line[int(0.62 * len(line)) - 1], line[int(0.62 * len(line))]
-            axes.annotate("", ahead, middle, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2}, zorder=4)
-            lines.append(line)
-        bar = figure.colorbar(ScalarMappable(norm, SCALE), ax=axes, shrink=0.7, pad=0.01)
-        bar.set_label("energy of all batteries on the edge [Wh/m]", fontsize=8)
-    marks = []
-    for number, begin, share, text in site.turns:
-        line = curves[number] if begin == site.environment.edges[number].from_ else curves[number][::-1]
-        at = line[min(int(share * (len(line) - 1) + 0.5), len(line) - 1)]
-        axes.plot(*at, marker="X", color=OUT, markersize=8, zorder=6, linestyle="none", label="turn back")
-        marks.append((at, text))
-    _draw_places(axes, site, where)
-    handles, labels = axes.get_legend_handles_labels()
-    known = dict(zip(labels, handles, strict=True))
-    figure.legend(known.values(), known.keys(), fontsize=7.5, loc="outside lower center", ncols=7, frameon=False)
-    figure.draw_without_rendering()  # so that it is known where on the paper everything lies
-    paper = Paper(axes, [*lines, *curves.values()], list(where.values()))
-    for name, at in where.items():
-        paper.write(np.array(at), name + (f"\n{site.charges[name]}" if name in site.charges else ""), 7.5, "black")
-    for at, text in marks:
-        paper.write(at, text, 7.0, OUT)
-    for index, edge in enumerate(site.environment.edges):
-        line, slope, text = curves[index], math.tan(edge.slope.value), edge.name or ""
-        if abs(slope) > 5e-4:
-            text += f" {100 * slope:+.1f} %".replace("-", "−") + (" →" if line[-1][0] >= line[0][0] else " ←")
-        paper.along(line, text + " one way" * (not edge.both_ways) + " closed" * (index in shut))
-    return figure
-
-
-def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, float]]) -> None:
-    for name, at in where.items():
-        spec = site.environment.places[name]
-        colour, word = site.colours.get(name, ("#444444", "place"))
-        number = site.order.get(name, "")
-        axes.plot(*at, marker="o", markersize=10 if number else 7, color=colour, label=word, zorder=5, linestyle="none")
-        if number:
-            axes.annotate(number, at, fontsize=7 if len(number) < 2 else 6, color="white", weight="bold", ha="center",
-                          va="center_baseline", zorder=8, in_layout=False)  # fmt: skip
-        if spec.charger is not None:
-            axes.plot(*at, marker="s", markersize=15, markerfacecolor="none", markeredgecolor=DOCK, label="dock",
-                      markeredgewidth=1.8, zorder=5, linestyle="none")  # fmt: skip
-        if spec.closed:
-            axes.plot(*at, marker="x", markersize=13, color="#222222", zorder=6, linestyle="none")
-
-
 def site_chart(site: SiteMap) -> Chart:
     """The map as an interactive chart."""
     where, curves = layout(site.environment)
     size = float(np.ptp(np.array(list(where.values())), axis=0).max())
-    surfaces, shut = _surfaces(site.environment), _shut(site.environment)
+    surfaces, shut = surfaces_of(site.environment), shut_ways(site.environment)
     traces: list[dict[str, Any]] = []
     for index, edge in enumerate(site.environment.edges):
-        line, surface = curves[index], _surface(site.environment, edge)
+        line, surface = curves[index], surface_of(site.environment, edge)
         style = {"color": "#b0b0b0", "dash": "dot"} if index in shut else {"color": surfaces[surface], "width": 2}
         name = "closed" if index in shut else surface or "edge"
         text = f"{edge.name or ''} {edge.from_}–{edge.to}, {site.environment.length_m(edge) or 0:.4g} m, {surface}, "
@@ -336,19 +250,85 @@ def shifted(line: Points, forward: bool, by: float) -> Points:
     return made + by * np.array([ahead[1], -ahead[0]]) / length if length else made
 
 
-def _surface(environment: EnvironmentSpec, edge: Any) -> str:
+def surface_of(environment: EnvironmentSpec, edge: EdgeSpec) -> str:
+    """Surface of an edge, empty where none is named."""
     return str(edge.surface or environment.ambient.surface or "")
 
 
-def _surfaces(environment: EnvironmentSpec) -> dict[str, str]:
-    names = dict.fromkeys(_surface(environment, edge) for edge in environment.edges)
+def surfaces_of(environment: EnvironmentSpec) -> dict[str, str]:
+    """Surfaces of a site with a colour each."""
+    names = dict.fromkeys(surface_of(environment, edge) for edge in environment.edges)
     return {name: SURFACES[i % len(SURFACES)] for i, name in enumerate(names)}
 
 
-def _shut(environment: EnvironmentSpec) -> set[int]:
+def shut_ways(environment: EnvironmentSpec) -> set[int]:
+    """Edges that are closed."""
     return set(range(len(environment.edges))) - {index for index, *_ in environment.open_ways()}
 
 
 def _percent(charge_wh: Mapping[str, float], capacity_wh: Mapping[str, float]) -> str:
     parts: Iterable[str] = (f"{100 * charge / capacity_wh[name]:.0f} %" for name, charge in charge_wh.items())
     return " / ".join(parts)
+
+
+def legs_table(answer: Answer) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the legs of a plan."""
+    names, rows = list(answer.energy_wh), []
+    for leg in answer.legs:
+        piece = leg.piece
+        chosen = None if leg.visit is None else leg.scheme or answer.site.task.visits[leg.visit]
+        scheme = piece.legs[0].settings.scheme if piece is not None else (chosen and chosen.scheme) or ""
+        way = ("", scheme, "") if piece is None else (piece.name, scheme, f"{piece.limit_m_s:.2f}")
+        wh = [in_wh(part[name]) for part in (leg.energy_wh, leg.charge_wh) for name in names]
+        rows.append([leg.kind, leg.place, *way, f"{leg.duration_s:.1f}", *wh])
+    columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name} Wh" for name in names)]
+    return [*columns, *(f"{name} left" for name in names)], rows
+
+
+def plan_page(answer: Answer, *, footer: str = "") -> str:
+    """The page as HTML, which opens from disk. `answer`: with ``why`` in `extra` where it is not feasible; `footer`:
+    how it was made."""
+    task = answer.site.task
+    title = f"{task.name} with {task.robot.name}"
+    if not answer.feasible:
+        first, *rest = answer.extra["why"]["text"]
+        blocks: list[Block] = [Verdict(f"No plan: {first}", "bad"), Bullets(rest), site_chart(map_of_plan(answer))]
+        return page(title, [Section("Why there is no plan", blocks)], footer=footer)
+    names = list(answer.energy_wh)
+    tiles = [("Duration", f"{answer.duration_s / 60.0:.1f} min", "")]
+    tiles += [
+        (f"Battery {name}", f"{in_wh(answer.energy_wh[name])} Wh", f"{in_wh(answer.charge_left_wh[name])} Wh left")
+        for name in names
+    ]
+    if sure := answer.extra.get("probability"):
+        interval = f"{100 * sure['low']:.2f} to {100 * sure['high']:.2f} %"
+        tiles.append(("Holds", f"{100 * sure['value']:.2f} %", f"of {sure['runs']} fresh draws ({interval})"))
+    physics = answer.site.physics
+    times = [0.0, *itertools.accumulate(leg.duration_s / 60.0 for leg in answer.legs)]
+    traces: list[Trace] = []
+    for b, name in enumerate(names):
+        values = [float(physics.initial_wh[b]), *(leg.charge_wh[name] for leg in answer.legs)]
+        share = [100.0 * value / float(physics.capacity_wh[b]) for value in values]
+        colour = COLOURS[b % len(COLOURS)]
+        curve = {"type": "scatter", "mode": "lines"}
+        traces.append({**curve, "x": times, "y": share, "name": name, "line": {"color": colour}})
+        reserve = {"y": [100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])] * 2, "x": [0.0, times[-1]]}
+        thin = {"color": colour, "dash": "dot", "width": 1}
+        traces.append({**curve, **reserve, "name": f"reserve of {name}", "line": thin})
+    over_time = {"xaxis": axis("time, min"), "yaxis": axis("charge, %", rangemode="tozero")}
+    sections = [
+        Section("Plan", [Verdict(f"{answer.course()}: {answer.claim}.", "good"), Tiles(tiles)]),
+        Section("Map", [site_chart(map_of_plan(answer))]),
+        Section("Charge", [Chart(traces, over_time, "Charge of each battery at the ends of the legs.", 300)]),
+        Section("Legs", [Table(*legs_table(answer))]),
+    ]
+    if others := answer.extra.get("alternatives"):
+        rows = [
+            [item["kind"], 100 * item["worse"] if item.get("worse") is not None else None, item.get("duration_s")]
+            for item in others
+        ]
+        sections.append(Section("What else there was", [Table(["plan", "worse, %", "s"], rows)]))
+    if front := answer.extra.get("pareto"):
+        rows = [[point["duration_s"], *(in_wh(wh) for wh in point["energy_wh"].values())] for point in front]
+        sections.append(Section("Energy against time", [Table(["s", *(f"{name}, Wh" for name in names)], rows)]))
+    return page(title, sections, footer=footer)

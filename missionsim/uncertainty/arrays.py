@@ -24,9 +24,11 @@ from missionsim.effects.timeline import SAMPLES, integrate
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values
-from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup
+from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, simulate
+from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.build import plan_runs
+from missionsim.physics import Array
+from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.intervals import (
@@ -37,12 +39,12 @@ from missionsim.uncertainty.intervals import (
     charge_course,
     distance_of,
     one_after_the_other,
+    parts_of,
     phases_of,
     running_sum,
 )
-from missionsim.uncertainty.single import columns_of, components_of, simulate_block
+from missionsim.uncertainty.single import columns_of, components_of, left_to_chance, simulate_block
 
-Array = NDArray[np.float64]
 AGREEMENT = 1e-9
 """Largest relative difference to SimPy that is accepted."""
 CACHED_RUNS = 2048
@@ -84,16 +86,11 @@ class ArrayMission:
                 column[chosen] = made[name]
         return columns
 
-    @property
-    def intervals(self) -> int:
-        """Intervals of the nominal run."""
-        return sum(len(step.phases) for step in self.plan.steps)
-
     def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[np.generic]], NDArray[np.bool_]]:
         """Columns at given draws, and the runs that need SimPy. `draws`: value name → ndarray of shape (count,)."""
         columns, again = columns_of(self.mission, self.model, count), np.zeros(count, dtype=bool)
         columns |= {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in self.mission.robot.batteries}
-        together = max(1, MOST_NUMBERS // self.intervals)
+        together = max(1, MOST_NUMBERS // sum(len(step.phases) for step in self.plan.steps))
         for low in range(0, count, together):
             high = min(low + together, count)
             part = {name: values[low:high] for name, values in draws.items()}
@@ -105,8 +102,7 @@ class ArrayMission:
             columns["feasible"][below] = False
             text = f"battery '{name}' ends below its reserve"
             for i in np.flatnonzero(below).tolist():
-                before = columns["message"][i]
-                columns["message"][i] = f"{before}; {text}" if before else text
+                columns["message"][i] = "; ".join(filter(None, (columns["message"][i], text)))
         return columns, again
 
     def _planned(self, draws: Draws) -> tuple[RunSetup, dict[str, Array]]:
@@ -206,11 +202,6 @@ class ArrayMission:
         return Intervals.of(setup.plan, phases, which), odd
 
     @functools.cached_property
-    def _units(self) -> tuple[Array, Array]:
-        """Units of each component that are on, and starting, in each part, shapes (components, parts)."""
-        return np.array([part.on for part in self.parts]).T, np.array([part.starting for part in self.parts]).T
-
-    @functools.cached_property
     def _needs(self) -> frozenset[str]:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
@@ -220,8 +211,9 @@ class ArrayMission:
         (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between the intervals."""
         cov, rates = intervals.covariates(part)
         names = list(self.mission.robot.components)
+        units = np.array([(part.on, part.starting) for part in self.parts])
         for i, name in enumerate(names):
-            cov[f"on_{name}"], cov[f"starting_{name}"] = (units[i, intervals.part_of] for units in self._units)
+            cov[f"on_{name}"], cov[f"starting_{name}"] = units[intervals.part_of, :, i].T
         if "moving_time_s" in self._needs:
             moving = cov["moving"]
             cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
@@ -326,3 +318,81 @@ class ArrayMission:
                     booked += spread.sum(axis=1)
                 parts[battery, key.component] += booked
         return energy
+
+
+_CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
+_CHECK_DRAWS, _TRIED = 3, 256
+_MOST_AGAIN = 0.9
+"""Share of the runs that go back to SimPy up to which arrays are worth their while for the others."""
+
+
+def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
+    """Compile a mission for evaluation as arrays. Gives the compiled mission, or in words why its runs need SimPy."""
+    try:
+        setup = RunSetup(mission, make_plan(mission), model, {}, {})
+        parts = _obstacle(setup) or parts_of(setup)
+    except MissionsimError as error:
+        parts = f"the nominal mission fails: {error}"
+    if isinstance(parts, str):
+        return parts
+    made = ArrayMission(mission, model, sampler, setup.plan, parts)
+    _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
+    if again.mean() > _MOST_AGAIN:
+        return (
+            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, or a "
+            "value changes what the plan consists of"
+        )
+    return _disagreement(made) or made
+
+
+def _obstacle(setup: RunSetup) -> str:
+    mission, plan, model = setup.mission, setup.plan, setup.model
+    if plan.activities:
+        return "activities overlap with the segments, so that events may change their order"
+    if mission.policy.on_empty == "recharge_and_continue":
+        return "it recharges when a battery comes to its reserve"
+    charges = [leg.recharge for leg in plan.legs if leg.recharge is not None]
+    if any(charge.duration_s is None or np.isfinite(charge.if_below) for charge in charges):
+        return "how long it recharges depends on the charge"
+    if charges and (model.memory or model.lags or "time_s" in model.needs):
+        return "it recharges, and powers change with time"
+    if plan.gated:
+        return "a block is repeated until a time"
+    chance = left_to_chance(mission)
+    if chance:
+        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
+    if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
+        return "a battery is no constant store of energy"
+    whole = simulate(mission, plan=plan, model=model)
+    if not whole.completed:
+        return "the nominal mission does not end"
+    if any(b.home_wh for b in whole.batteries.values()):
+        return "it ends away from its dock, so that each run has a way home of its own"
+    return ""
+
+
+def _disagreement(made: ArrayMission) -> str:
+    """Why the arrays are not to be trusted: the largest difference to SimPy on some draws; empty if none."""
+    values, sampler = made.sampler.values, made.sampler
+    few = sampler.draw(0, 0, _CHECK_DRAWS)
+    at = sampler.at({value.name: np.array(_CHECK_PROBABILITIES) for value in values})
+    draws = {name: np.concatenate([at[name], few[name]]) for name in few}
+    count = len(_CHECK_PROBABILITIES) + _CHECK_DRAWS
+    columns, again = made.evaluate(draws, count)
+    for i in range(count):
+        if again[i]:
+            continue
+        try:
+            result = simulate(made.mission, values={n: float(v[i]) for n, v in draws.items()}, model=made.model)
+        except MissionsimError as error:
+            return f"a drawn mission fails: {error}"
+        for name, battery in result.batteries.items():
+            ours = float(columns[f"energy_{name}_wh"][i])
+            if not abs(ours - battery.energy_wh) <= AGREEMENT * max(abs(battery.energy_wh), 1e-12):
+                return f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}'"
+            off = abs(float(columns[f"charge_left_{name}_wh"][i]) - battery.charge_left_wh)
+            if not off <= AGREEMENT * battery.capacity_wh:
+                return f"arrays and SimPy differ by {off:.1e} Wh in what is left in battery '{name}'"
+        if bool(columns["feasible"][i]) != result.feasible:
+            return "arrays and SimPy do not agree on what is feasible"
+    return ""

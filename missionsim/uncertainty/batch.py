@@ -29,9 +29,8 @@ from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL, proportion_interval, summarise
-from missionsim.uncertainty.arrays import ArrayMission
+from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
 from missionsim.uncertainty.draws import Draws, Sampler, make_sampler, run_generator
-from missionsim.uncertainty.qualify import compile_arrays
 from missionsim.uncertainty.single import left_to_chance, simulate_block, unread_values
 from missionsim.uncertainty.store import BlockStore
 from missionsim.workers import interrupts_held, process_pool

@@ -23,9 +23,8 @@ from missionsim.expressions import compile_expression
 from missionsim.inputs.power import build_power_model
 from missionsim.physics.lag import SETTLED, Lagged, lagged
 from missionsim.runs.drive import assume, drive_blocks
-from missionsim.uncertainty.arrays import ArrayMission
+from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
 from missionsim.uncertainty.draws import make_sampler
-from missionsim.uncertainty.qualify import compile_arrays
 from tests.compare.worlds import cut, log_of
 from tests.engine.making import load, robot, run
 

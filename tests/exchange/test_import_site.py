@@ -13,7 +13,9 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.errors import Fault, InputError
 from missionsim.exchange.formats import import_site
-from missionsim.exchange.site import LocalPlane, SiteOptions, nurbs_length, smooth_slopes, write_site
+from missionsim.exchange.gpx import smooth_slopes
+from missionsim.exchange.site import LocalPlane, SiteOptions, write_site
+from missionsim.exchange.vda5050 import nurbs_length
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.mission import MissionSpec
