@@ -252,10 +252,10 @@ class Rounds:
         kept = [effect for effect in state.taken if effect.effect not in law.instead_of]
         beside = replace(state, given=given, models=with_law(state.models, name, formula))
         found, fitted = self.together(beside, [*kept, replace(as_finding(law), effect=name)], surest=len(kept))
-        k = next(one for one in found if one.effect == name).parameters["k"]
+        k = next((one.parameters["k"] for one in found if one.effect == name), None)
         # its size was found beside everything that is seen: without what these data cannot tell, it may be another
         unsure = any(effect.indistinguishable_from for effect in state.last.effects)
-        if k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
+        if k is None or k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
             self.nothing[formula] += 1
             return True
         self.by_law.add(name)

@@ -124,13 +124,14 @@ class _Builder:
         # where most of the rows lie, and out to where few do
         first, last = (float(q) for q in np.quantile(every, (0.01, 0.99)))
         levels = [*np.quantile(every, TENTHS), *np.linspace(first, last, EVENLY)]
+        bends = [level for level in levels if _round(float(level)) or np.min(every) < 0.0]  # above 0 it is itself
         ramps = (f"{name} - #", f"{symbol} − #") if above else (f"# - {name}", f"# − {symbol}")
-        self.family(name, f"max({ramps[0]}, 0)", f"({ramps[1]})₊", 1, levels, coarse, kind=kind, more=(0.0,))
+        self.family(name, f"max({ramps[0]}, 0)", f"({ramps[1]})₊", 1, bends, coarse, kind=kind, more=(0.0,))
         than = ">" if above else "<"
         step = (f"({name} {than} #)", f"[{symbol} {than} #]")
         self.family(name, *step, 1, levels, (), kind=kind, more=(1.0,))
         bent = (f"max({ramps[0]}, 0)**1.5", f"({ramps[1]})₊^1.5")
-        self.family(name, *bent, 2, levels, (), kind=kind, more=(0.5,))
+        self.family(name, *bent, 2, bends, (), kind=kind, more=(0.5,))
 
     def about_thresholds(self, name: str) -> None:
         """Parts above and below values that the runs hold; a temperature in degC has no zero of its own."""

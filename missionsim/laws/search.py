@@ -103,9 +103,9 @@ class Search:
 
     def __init__(self, ground: Ground, grammar: Grammar, memory: bool = False) -> None:
         self.ground, self.grammar, self.memory = ground, grammar, memory
-        few = ground.model.squares is not None and len(ground.design.runs) <= SEVERAL_RUNS
-        # what a product of three says of other runs than two is a guess
-        self.by_size = grammar.forms(memory)[: len(ground.design.runs) if few else None]
+        # what a single run says of a product of three, or of two beside a base far off, is a guess about others
+        runs, near = len(ground.design.runs), ground.model.squares is None
+        self.by_size = grammar.forms(memory)[: runs + near if runs <= SEVERAL_RUNS else None]
         self.penalties = [math.log(max(len(forms), 1)) for forms in self.by_size]
         rows = len(ground.design.y)
         self.every = max(1, math.ceil(rows / MOST_ROWS))

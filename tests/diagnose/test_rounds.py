@@ -292,3 +292,18 @@ def test_what_is_left_of_the_form_of_a_law_is_no_second_law(
     made.ask = lambda finding, _: bool(asked.append("asked"))  # type: ignore[func-returns-value]
     assert made.of_law() is bool(taken)
     assert tuple(asked) == taken
+
+
+def test_a_law_without_which_a_single_run_is_predicted_as_well_is_tried_and_goes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = rounds(Told({}), [()])
+    law = SimpleNamespace(first=SimpleNamespace(formula="k * heater_w"), open=False, far_better=False, instead_of=())
+    for name in ("as_finding", "with_law"):
+        monkeypatch.setattr(improve, name, lambda *_: GRADE)
+    monkeypatch.setattr(improve, "with_candidate", lambda *_: ("", "law_heater_w"))
+    made.state = replace(made.state, last=SimpleNamespace(proposed_laws=(law,), effects=()))  # type: ignore[arg-type]
+    made.together = lambda *_, **__: ([], None)  # type: ignore[method-assign,assignment]
+    assert made.of_law()
+    assert not made.by_law
+    assert not made.of_law()

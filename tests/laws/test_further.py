@@ -71,6 +71,12 @@ def test_noise_about_nought_is_no_sign(lowest: float, powers: bool) -> None:
     assert ("abs(arm_torque)" in read) is (lowest < -1.0)
 
 
+def test_what_is_above_nought_is_no_second_form_of_what_never_falls_below() -> None:
+    read = {factor.text for factor in make_grammar(drives()).factors}
+    assert {"arm_power", "(arm_power > 0)", "max(arm_power - 12, 0)"} <= read
+    assert not {"max(arm_power - 0, 0)", "max(arm_power - 0, 0)**1.5"} & read
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -173,12 +179,12 @@ def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
     assert made.certain == ("cpu_load",)
 
 
-@pytest.mark.parametrize(("runs", "most"), [(1, 1), (2, 2), (3, 3), (6, 3)])
-def test_a_law_beside_a_base_far_off_has_no_more_factors_than_there_are_runs(runs: int, most: int) -> None:
+@pytest.mark.parametrize(("runs", "far_off", "close"), [(1, 1, 2), (2, 2, 3), (3, 3, 3), (6, 3, 3)])
+def test_few_runs_show_no_long_products(runs: int, far_off: int, close: int) -> None:
     """Watts of one of several heaters, times a bend of the speed by chance: another run would have to show that."""
     grammar = make_grammar(drives(), set())
     design = SimpleNamespace(y=np.zeros(9), stretches=[slice(0, 9)], runs=[slice(0, 9)] * runs)
     far, near = (
         Search(SimpleNamespace(design=design, model=SimpleNamespace(squares=squares)), grammar) for squares in (1, None)
     )
-    assert (len(far.by_size), len(near.by_size)) == (most, 3)
+    assert (len(far.by_size), len(near.by_size)) == (far_off, close)
