@@ -40,16 +40,16 @@ def alone(logs: list[LogTable], name: str, settings: Settings) -> tuple[str, Spl
 
 
 def test_a_short_drive_is_judged_alike_by_all_commands(warthog: list[LogTable]) -> None:
-    """Two minutes on asphalt, of which three parts are too few to test turning: a law was a way round that test."""
+    """Two minutes on asphalt, of which four parts are too few to test turning: a law was a way round that test."""
     text, split, found, rmse_w = alone(warthog, "asphalt", Settings())
     assert not found.effects
     assert not found.proposed_laws
     (doubtful,) = (one for one in found.candidates if one.doubtful_share is not None)
     assert doubtful.effect == "turning_scrub"
     assert "these data do not name (perhaps turning_scrub)" in headline(found)
-    assert found.noise["sd_w"] < rmse_w  # it was predicted from a third of the run, and told as noise
+    assert found.noise["sd_w"] < rmse_w  # it was predicted from a part of the run, and told as noise
     for asked, formula in (("turning_scrub", False), ("k * abs(yaw_rate_rad_s)", True)):
-        with pytest.raises(NotSignificant, match="48 % of the energy ± 26: not significant"):
+        with pytest.raises(NotSignificant, match="48 % of the energy ± 28: not significant"):
             adopt(text, split, asked, "robot", Settings(), formula=formula)
     assert improve(text, split, "robot", Settings(), lambda *_: True).added == ()
 
