@@ -110,6 +110,8 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
         if "run" in on:
             do = "note what differed between these runs (floor, tyres, load, weather), and log it as a column"
             proposed.append(Experiment(on, do))
+            may_be = dict.fromkeys(name for one in left.structures for name in one.effects)
+            proposed += propose(bench, tuple(may_be))
         names = [name for covariate in on for name in _SHOWS.get(covariate, ())]
         for one in [m for m in library(bench.site) if m.name in names][:2]:
             parts = tuple(part.to_json() for part in one.parts)

@@ -29,6 +29,8 @@ class Structure:
     """In words."""
     times: str = ""
     """Covariate that its curve is multiplied by, if any."""
+    effects: tuple[str, ...] = ()
+    """Effects that it may be, of which the runs are too few to tell."""
 
 
 @dataclass(frozen=True)
@@ -287,7 +289,9 @@ class BatteryDiagnosis(Findings):
     def unnamed(self) -> str:
         """What names nothing for what remains: the library, or these data, where effects of it are in doubt."""
         doubted = [one.effect for one in self.candidates if one.doubtful_share is not None]
-        return f"these data do not name (perhaps {' or '.join(doubted)})" if doubted else "the library does not contain"
+        if not doubted and "run" not in self.unexplained.depends_on:
+            return "the library does not contain"
+        return "these data do not name" + (f" (perhaps {' or '.join(doubted)})" if doubted else "")
 
     @property
     def parts(self) -> str:

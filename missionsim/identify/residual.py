@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.evidence import block_numbers, chance_of
+from missionsim.identify.evidence import block_numbers, cause_is_constant, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import innovations, project, random_effects
 from missionsim.identify.model import Model, log_likelihood
@@ -18,6 +18,7 @@ from missionsim.identify.settings import (
     CURVE_LEVEL,
     CURVE_NATS,
     CURVE_NATS_ON_RAMPS,
+    FEWEST_FOLDS,
     FEWEST_HATS,
     FEWEST_PEAKS,
     FORM_FAINT,
@@ -348,34 +349,48 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
     fit divided them. Where the likelihood says that the motion alone does not explain it, what is drawn at rest differs
     in the same ratio: so does a meter.
     """
-    noise = model.noise
-    if len(model.design.runs) < SEVERAL_RUNS or max(noise.gain, noise.motion_gain) < UNUSUAL_GAIN:
+    noise, design, constraints = model.noise, model.design, model.constraints
+    mean_w, gain = abs(design.layout.mean_power_w), max(noise.gain, noise.motion_gain)
+    if len(design.runs) < SEVERAL_RUNS or max(gain, noise.offset_w / mean_w) < UNUSUAL_GAIN:
         return None, ""
-    gains = random_effects(model.design, noise, model.chosen)[:, 1:3]
-    size = float(np.max(np.std(gains, axis=0, ddof=1)))
-    if size < UNUSUAL_GAIN:
+    drawn = random_effects(design, noise, model.chosen)[:, :3] / [mean_w, 1.0, 1.0]
+    offset, size = float(np.std(drawn[:, 0], ddof=1)), float(np.max(np.std(drawn[:, 1:], axis=0, ddof=1)))
+    if max(offset, size) < UNUSUAL_GAIN:
         return None, ""
-    at_least = "at least " if max(noise.gain, noise.motion_gain) > 0.99 * LARGEST_GAIN else ""
-    of_motion = replace(
-        noise, gain=min(noise.gain, USUAL_GAIN), motion_gain=float(np.hypot(noise.gain, noise.motion_gain))
-    )
-    if log_likelihood(model) - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS:
-        return None, (
-            f"the runs differ by {at_least}{100 * size:.2g} % in all that they draw, at rest too: meters that differ, "
-            "or were set differently, do that; check them before two runs are held against each other"
+    by = ("at least " if gain > 0.99 * LARGEST_GAIN else "") + f"{100 * size:.2g} %"
+    if offset > size:
+        drawn, size, costs = drawn[:, :1], offset, "it costs"
+        words = f"the runs differ by {watts(offset * mean_w, 2)} ({100 * offset:.2g} % of the power)"
+    else:
+        drawn, costs = drawn[:, 1:], "the same motion costs"
+        of_motion = replace(
+            noise, gain=min(noise.gain, USUAL_GAIN), motion_gain=float(np.hypot(noise.gain, noise.motion_gain))
         )
-    most, least = (model.design.names[int(f(gains.sum(axis=1)))] for f in (np.argmax, np.argmin))
-    words = (
-        f"the runs differ by {at_least}{100 * size:.2g} % in what the same motion costs, several times what meters and "
-        "drives usually do: something that changes from run to run is missing; the same motion costs most in "
-        f"{most} and least in {least}"
+        if log_likelihood(model) - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS:
+            return None, (
+                f"the runs differ by {by} in all that they draw, at rest too: meters that differ, or were set "
+                "differently, do that; check them before two runs are held against each other"
+            )
+        words = f"the runs differ by {by} in what the same motion costs"
+    most, least = (design.names[int(f(drawn.sum(axis=1)))] for f in (np.argmax, np.argmin))
+    words += (
+        ", several times what meters and drives usually do: something that changes from run to run is missing; "
+        f"{costs} most in {most} and least in {least}"
     )
-    design, effect = model.design, model.constraints.effect
-    for number in set(effect.tolist()):
-        acts = np.array([np.any(design.phi[effect == number][:, rows], axis=1) for rows in design.runs])
-        if np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
+    constant = []
+    for number, candidate in enumerate(constraints.candidates):
+        own = np.flatnonzero(constraints.effect == number)
+        acts = np.array([np.any(design.phi[own][:, rows], axis=1) for rows in design.runs])
+        if len(own) and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
             words += (
                 "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
             )
-            break
-    return Structure("run", 0.0, 0.0, size, words), ""
+        elif len(own) and not {*own.tolist()} & {*model.chosen} and cause_is_constant(model, int(own[0])):
+            constant.append(candidate.effect)
+    if len(design.runs) > FEWEST_FOLDS:  # that many would tell
+        constant = []
+    if constant:
+        words += (
+            f"; it may be {' or '.join(constant)}, whose cause is constant in runs, of which these are too few to tell"
+        )
+    return Structure("run", 0.0, 0.0, size, words, effects=tuple(constant)), ""

@@ -63,9 +63,11 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposal
     `covariates`: covariates of every run that was given to it, at the raw rate, with those derived from the log.
     """
     ground = ground_of(found, covariates)
-    # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library
+    # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library;
+    # what runs differ by looks like one where they last unlike
+    apart = any(one.covariate == "run" for one in found.unexplained.structures)
     skip = {*repeated(ground.covariates), *_own_meter(ground)}
-    grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
+    grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None and not apart)
     plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
     if late is None:
         return plain and plain[0]

@@ -37,7 +37,7 @@ motion:
 """
 
 
-def runs(folder: Path, meter_sd: float, motion_sd: float) -> list[Path]:
+def runs(folder: Path, meter_sd: float, motion_sd: float, offset_w: float = 0.0) -> list[Path]:
     """Twelve runs of a little world: stops and goes at steady speeds, rows of a second, noise with a memory of 5 s."""
     rng = np.random.default_rng(5)
     (folder / "own.yaml").write_text(ROBOT)
@@ -49,6 +49,7 @@ def runs(folder: Path, meter_sd: float, motion_sd: float) -> list[Path]:
             noise[i] = 0.8 * noise[i - 1] + rng.normal(0.0, 0.3)
         cost, meter = 1.0 + np.array([motion_sd, meter_sd]) * rng.choice([-1.0, 1.0], 2)
         power = meter * np.where(speed > 0.0, cost * (5.0 + 40.0 * speed + 4.0 * speed**2), 24.0)
+        power = power + offset_w * rng.choice([-1.0, 1.0])
         path = folder / f"run{number:02d}.csv"
         table = np.column_stack([np.arange(300) + 0.5, speed, power + noise])
         np.savetxt(path, table, delimiter=",", header="time_s,speed_m_s,power_main_w", comments="", fmt="%.4f")
@@ -58,16 +59,23 @@ def runs(folder: Path, meter_sd: float, motion_sd: float) -> list[Path]:
 
 @pytest.mark.filterwarnings("ignore:left out run00")
 @pytest.mark.parametrize(
-    ("meter_sd", "motion_sd", "verdict"), [(0.04, 0.0, "nothing_missing"), (0.0, 0.09, "unexplained_structure")]
+    ("meter_sd", "motion_sd", "offset_w", "verdict"),
+    [
+        (0.04, 0.0, 0.0, "nothing_missing"),
+        (0.0, 0.09, 0.0, "unexplained_structure"),
+        (0.0, 0.0, 3.0, "unexplained_structure"),
+    ],
 )
 def test_meters_that_differ_are_no_missing_effect(
-    tmp_path: Path, meter_sd: float, motion_sd: float, verdict: str
+    tmp_path: Path, meter_sd: float, motion_sd: float, offset_w: float, verdict: str
 ) -> None:
-    logs = runs(tmp_path, meter_sd, motion_sd)
+    logs = runs(tmp_path, meter_sd, motion_sd, offset_w)
     found = diagnose(tmp_path / "own.yaml", logs, holdout="none").batteries["main"]
     assert found.verdict == verdict
     told = " ".join(found.remarks)
-    assert ("in all that they draw, at rest too" in told) == (motion_sd == 0.0)
+    assert ("in all that they draw, at rest too" in told) == (meter_sd > 0.0)
+    assert ("several times what meters and drives usually do" in found.unexplained.shape) == (meter_sd == 0.0)
+    assert ("the runs differ by 3.1 W" in found.unexplained.shape) == (offset_w > 0.0)
     assert ("what the same motion costs" in found.unexplained.shape) == (motion_sd > 0.0)
 
 

@@ -1,4 +1,5 @@
-"""Real motion, power made by known laws: ``python -m tests.rough.semi_real [--sets NAME ...] [--seeds a:b]``.
+"""Real motion, power made by known laws: ``python -m tests.rough.semi_real [--sets NAME ...] [--seeds a:b]``
+``[--hidden TERM ...] [--train RUNS]``.
 
 The motion of real logs has what made worlds lack: rows at uneven times, quantities that go together, noise of real
 sensors. Power is a base, up to three hidden terms and a meter (lag, gain, noise), in NumPy alone. One line a case:
@@ -97,8 +98,8 @@ def hidden(
     return [form[kind]]
 
 
-def make(name: str, seed: int) -> tuple[list[Drive], list[str]]:
-    """The drives of a case, and what is hidden in them with its share of the base's energy."""
+def make(name: str, seed: int, asked: Sequence[str] = ()) -> tuple[list[Drive], list[str]]:
+    """The drives of a case, and what is hidden in them with its share of the base's energy: `asked`, or drawn."""
     rng = np.random.default_rng([seed, list(SETS).index(name)])
     runs, scale = [(run.run, plain(run)) for run in motion(name)], SETS[name][2]
     every = set.intersection(*(set(columns) for _, columns in runs))
@@ -113,7 +114,7 @@ def make(name: str, seed: int) -> tuple[list[Drive], list[str]]:
         str(k) for k in rng.choice(pool, size=int(rng.choice([0, 1, 2, 3], p=[0.15, 0.3, 0.35, 0.2])), replace=False)
     ]
     alike = [[k for k in kinds if k.startswith(word)] for word in ("inertia", "scrub")]
-    kinds = [k for k in kinds if not any(k in same[1:] for same in alike)]
+    kinds = [*asked] or [k for k in kinds if not any(k in same[1:] for same in alike)]
     b = scale * np.array([rng.uniform(0.03, 0.3), rng.uniform(0.3, 0.8) / usual, rng.uniform(0.0, 0.4) / usual**2])
     share = {kind: rng.uniform(0.08, 0.5) for kind in kinds}
     floors = sorted({str(text) for _, columns in runs for text in columns.get("surface", [])})
@@ -176,11 +177,11 @@ def write(drives: Sequence[Drive], folder: Path) -> None:
         (folder / f"{one.name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def case(name: str, seed: int) -> str:
-    """One line of the table."""
-    drives, kinds = make(name, seed)
+def case(name: str, seed: int, asked: Sequence[str] = (), runs: int = 0) -> str:
+    """One line of the table; so many `runs` are fitted, or half of them."""
+    drives, kinds = make(name, seed, asked)
     order = np.random.default_rng(seed).permutation(len(drives))
-    middle = -(-len(drives) // 2)
+    middle = runs or -(-len(drives) // 2)
     train, heldout = ([drives[i] for i in sorted(part)] for part in (order[:middle], order[middle:]))
     mass, drive, _ = SETS[name]
     with tempfile.TemporaryDirectory() as folder:
@@ -200,11 +201,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", nargs="*", default=list(SETS), choices=list(SETS))
     parser.add_argument("--seeds", default="1:11", help="first:end")
+    parser.add_argument("--hidden", nargs="*", default=[], help="terms that are hidden in every case")
+    parser.add_argument("--train", type=int, default=0, help="runs that are fitted, half of them by default")
     given = parser.parse_args(arguments)
     print("set | seed | hidden | added | | before | after | least squares | ratio of the power errors")
     for name in given.sets:
         for seed in range(*map(int, given.seeds.split(":"))):
-            print(case(name, seed), flush=True)
+            print(case(name, seed, given.hidden, given.train), flush=True)
     return 0
 
 

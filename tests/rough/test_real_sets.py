@@ -154,3 +154,21 @@ def test_turning_at_speed_beside_inertia_is_not_called_scrub(tmp_path: Path) -> 
     (law,) = found.proposed_laws
     assert law.instead_of == ("turning_scrub",)
     assert set(law.certain) == {"speed_m_s", "yaw_rate_rad_s"}
+
+
+@pytest.mark.usefixtures("shared")
+def test_what_few_runs_differ_by_may_be_all_that_is_constant_in_them(tmp_path: Path) -> None:
+    """Payload and cold over eight drives of a Husky, of which three hardly move: how long they had moved was called the
+    cause, and both were excluded."""
+    drives, _ = make("husky", 1, ("payload", "cold"))
+    order = np.random.default_rng(1).permutation(len(drives))[:8]
+    write([drives[i] for i in order], tmp_path / "train")
+    logs = read_logs([tmp_path / "train"])
+    made = calibrate_new(NewRobot("own", BASE, mass="50 kg", drive="skid_steer"), logs)
+    found = diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+    assert not found.effects
+    assert not found.proposed_laws
+    assert "it may be payload or temperature_friction" in found.unexplained.shape
+    assert "that these data do not name" in headline(found)
+    limits = {one.effect: one.smallest_detectable_share for one in found.candidates}
+    assert min(limits["payload"], limits["temperature_friction"]) > 0.11  # 9 and 11 % of the base's energy are hidden
