@@ -49,11 +49,7 @@ def _needed(described: dict[str, Any]) -> str:
 
 @effects_app.default
 def list_effects(*, to: Output = TERMINAL) -> int:
-    """List every effect of the library.
-
-    Parameters
-    ----------
-    """
+    """List every effect of the library."""
     from missionsim.effects.library import effect_ids
 
     described = [_describe(id) for id in effect_ids()]
@@ -92,11 +88,7 @@ def show(id: str, *, to: Output = TERMINAL) -> int:
 
 
 def robots(*, to: Output = TERMINAL) -> int:
-    """List the shipped robots with their batteries, components and control schemes.
-
-    Parameters
-    ----------
-    """
+    """List the shipped robots with their batteries, components and control schemes."""
     from missionsim.inputs import load_robot, shipped_robots
 
     described: list[dict[str, Any]] = []

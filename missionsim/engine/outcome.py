@@ -207,14 +207,12 @@ class RunResult:
         """Whether the mission was cut short and the robot went back to its dock."""
         return bool(self.segments) and self.segments[-1].kind == "return"
 
-    def was_driven(self, segment: int) -> bool:
-        """Whether a segment was begun; a way home or to a dock and back always was."""
-        return segment < self.segments_driven or self.segments[segment].kind in ("return", "recharge")
-
     def was_done(self, segment: int) -> bool:
         """Whether a segment was begun and, where it is a dock, anything was done there: it may charge below a level."""
         end, before = self.segment_end_s.get(segment, math.inf), self.segment_end_s.get(segment - 1, 0.0)
-        return self.was_driven(segment) and not (self.segments[segment].kind == "dock" and end <= before)
+        kind = self.segments[segment].kind  # a way home or to a dock and back is no segment of the mission
+        begun = segment < self.segments_driven or kind in ("return", "recharge")
+        return begun and not (kind == "dock" and end <= before)
 
     def home_energy(self) -> list[dict[str, float | None]]:
         """Energy in Wh to come home from the end of each segment, by battery; None where no way is known. Computed when

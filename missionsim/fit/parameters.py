@@ -274,7 +274,7 @@ class ModelFit:
             },
             "rmse_before_w": self.before.power_rmse_w,
             "rmse_w": self.after.power_rmse_w,
-            "energy_error_pct": self.after.energy_error_pct,
+            "energy_error_pct": self.after.total.energy_error_pct,
             "run_energy_error_pct": self.after.run_energy_error_pct,
             "explained_variance": self.explained,
             "clock": {"delay_s": self.delay_s, "lag_s": self.lag_s},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,8 +33,6 @@ class Identification(Findings):
     """The fitted model with what speaks for each effect in it, and the model without effects."""
     library: tuple[Candidate, ...]
     settings: Settings
-    shapes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Refitted shape parameters of each effect, with their limits."""
     demoted: tuple[str, ...] = ()
     """Effects that the model keeps and does not name."""
     factor: float | None = None
@@ -189,7 +187,6 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
         choice=choice,
         library=tuple(constraints.candidates),
         settings=constraints.settings,
-        shapes=shapes,
         demoted=unnamed,
         factor=factor,
         averages=averages,

@@ -49,7 +49,18 @@ def choose(source: Source) -> Choice:
         if step is None:
             break
         found, source = step, step.model.source
-    found = with_what_runs_differ_by(with_levels(found))
+    found = with_levels(found)
+    # an effect, such as a payload, whose cause is constant in runs and by which they differ, where a noise fitted
+    # beside something louder had taken that for runs that differ unusually
+    model, options = found.model, []
+    for k in np.flatnonzero(~model.constraints.joint) if model.noise.motion_gain > UNUSUAL_GAIN else ():
+        if int(k) in model.chosen or not cause_is_constant(model, int(k)):
+            continue
+        fresh = fit_model(model.source, (*model.chosen, int(k)))
+        evidence = weighed(fresh, fresh.chosen)
+        if all(e.accepted for e in evidence.values()):
+            options.append((log_likelihood(fresh), replace(found, model=fresh, evidence=evidence)))
+    found = max(options, key=lambda option: option[0])[1] if options else found
     noise = found.model.noise
     apart = noise.offset_w > USUAL_GAIN * source.layout.mean_power_w or noise.motion_gain > UNUSUAL_GAIN
     if len(source.runs) > SEVERAL_RUNS and (apart or low_frequency_noise(found.model) is not None):
@@ -224,21 +235,6 @@ def with_levels(choice: Choice) -> Choice:
         evidence |= weighed(model, rest)
         choice = replace(choice, model=model, evidence=evidence)
     return choice
-
-
-def with_what_runs_differ_by(choice: Choice) -> Choice:
-    """The choice with the effect, such as a payload, whose cause is constant in runs and by which they differ, where a
-    noise fitted beside something louder had taken that for runs that differ unusually."""
-    model = choice.model
-    options = []
-    for k in np.flatnonzero(~model.constraints.joint) if model.noise.motion_gain > UNUSUAL_GAIN else ():
-        if int(k) in model.chosen or not cause_is_constant(model, int(k)):
-            continue
-        fresh = fit_model(model.source, (*model.chosen, int(k)))
-        evidence = weighed(fresh, fresh.chosen)
-        if all(e.accepted for e in evidence.values()):
-            options.append((log_likelihood(fresh), replace(choice, model=fresh, evidence=evidence)))
-    return max(options, key=lambda option: option[0])[1] if options else choice
 
 
 def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:

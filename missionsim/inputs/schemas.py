@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.effects.base import ParameterSpec
+from missionsim.effects.library import FLOORS, effect_ids, get_effect
+from missionsim.effects.named_models import get_motion_model, law_models, motion_model_ids
 from missionsim.errors import InputError
 from missionsim.inputs import units
 from missionsim.inputs.loading import KINDS, model_of
@@ -36,7 +38,33 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     for name, definition in [("", body), *definitions.items()]:
         if not name.startswith("quantity"):
             add_descriptions(name, definition, definitions)
-    add_models(definitions)
+    # models, laws and effects are enumerated, and the parameters that each has
+    if motion := definitions.get("MotionSpec"):
+        ids = motion_model_ids()
+        _enumerate(motion["properties"]["model"], [*ids, "expression", "none"])
+        motion["allOf"] = [_rule("model", name, get_motion_model(name).parameters) for name in ids]
+        # the model that holds where none is named
+        motion["allOf"][ids.index("polynomial")]["if"].pop("required", None)
+    if law := definitions.get("LawSpec"):
+        _enumerate(law["properties"]["model"], list(law_models()))
+        law["allOf"] = [_rule("model", name, model.parameters) for name, model in law_models().items()]
+    if effect := definitions.get("EffectSpec"):
+        plain = [name for name in effect_ids() if "<" not in name]
+        families = sorted({name.partition(":")[0] for name in effect_ids() if "<" in name} | set(FLOORS))
+        pattern = rf"^({'|'.join(families)}):[A-Za-z_][A-Za-z0-9_ -]*$"
+        effect["properties"]["effect"] = {
+            "anyOf": [{"enum": plain}, {"type": "string", "pattern": pattern}, {"type": "null"}],
+            "default": None,
+            "description": effect["properties"]["effect"]["description"],
+        }
+        effect["allOf"] = [
+            _rule("effect", name, get_effect(name).parameters, "^k_" * (name in FLOORS)) for name in plain
+        ]
+    if battery := definitions.get("BatterySpec"):
+        options = battery["properties"]["model"]["anyOf"]
+        battery["properties"]["model"]["anyOf"] = [
+            {"enum": ["constant_energy"]} if option == {"type": "string"} else option for option in options
+        ]
     if robot is not None:
         add_names(definitions, body, robot)
     head = {"$schema": DIALECT, "title": f"missionsim {kind} file"}
@@ -116,39 +144,6 @@ def key_words() -> dict[str, str]:
     """What each key means, and ``Model.key`` where it means another thing in one place."""
     words: dict[str, str] = read_document(Path(__file__).with_name("schema_words.yaml")).data
     return words
-
-
-def add_models(definitions: dict[str, Schema]) -> None:
-    """Enumerate models, laws and effects, and the parameters that each has."""
-    from missionsim.effects.library import FLOORS, effect_ids, get_effect
-    from missionsim.effects.named_models import get_motion_model, law_models, motion_model_ids
-
-    if motion := definitions.get("MotionSpec"):
-        ids = motion_model_ids()
-        _enumerate(motion["properties"]["model"], [*ids, "expression", "none"])
-        motion["allOf"] = [_rule("model", name, get_motion_model(name).parameters) for name in ids]
-        # the model that holds where none is named
-        motion["allOf"][ids.index("polynomial")]["if"].pop("required", None)
-    if law := definitions.get("LawSpec"):
-        _enumerate(law["properties"]["model"], list(law_models()))
-        law["allOf"] = [_rule("model", name, model.parameters) for name, model in law_models().items()]
-    if effect := definitions.get("EffectSpec"):
-        plain = [name for name in effect_ids() if "<" not in name]
-        families = sorted({name.partition(":")[0] for name in effect_ids() if "<" in name} | set(FLOORS))
-        pattern = rf"^({'|'.join(families)}):[A-Za-z_][A-Za-z0-9_ -]*$"
-        effect["properties"]["effect"] = {
-            "anyOf": [{"enum": plain}, {"type": "string", "pattern": pattern}, {"type": "null"}],
-            "default": None,
-            "description": effect["properties"]["effect"]["description"],
-        }
-        effect["allOf"] = [
-            _rule("effect", name, get_effect(name).parameters, "^k_" * (name in FLOORS)) for name in plain
-        ]
-    if battery := definitions.get("BatterySpec"):
-        options = battery["properties"]["model"]["anyOf"]
-        battery["properties"]["model"]["anyOf"] = [
-            {"enum": ["constant_energy"]} if option == {"type": "string"} else option for option in options
-        ]
 
 
 def _enumerate(node: Schema, names: list[str]) -> None:

@@ -91,11 +91,6 @@ class Errors:
         return sum(self.runs, start=RunError("", 0.0, 0.0, 0.0, 0.0))
 
     @property
-    def energy_error_pct(self) -> float:
-        """``100 (model − measured) / measured`` over all runs [%]; errors of opposite sign cancel out."""
-        return self.total.energy_error_pct
-
-    @property
     def run_energy_error_pct(self) -> float:
         """Mean over runs of the magnitude of each run's energy error [%]."""
         return float(np.mean([abs(run.energy_error_pct) for run in self.runs]))
@@ -107,7 +102,7 @@ class Errors:
 
     def to_json(self) -> Json:
         """The three numbers that are compared between models."""
-        return fields_of(self, "energy_error_pct run_energy_error_pct power_rmse_w")
+        return fields_of(self.total, "energy_error_pct") | fields_of(self, "run_energy_error_pct power_rmse_w")
 
 
 def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
