@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import html
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.compare import BatteryComparison, Comparison, RunComparison
-from missionsim.compare.axes import PlaceCell
+from missionsim.compare import BatteryComparison, Comparison
 from missionsim.compare.behaviour import OF_SCHEME, PARTS
 from missionsim.numerals import in_wh, rounded
-from missionsim.physics import Array
-from missionsim.report.page import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
+from missionsim.report.compare_page import places, power, progress, residual
+from missionsim.report.page import MEASURED, Chart, literal, new_figure, save_figure
 from missionsim.report.terminal import signed, simple_table
 from missionsim.results.write import write_table
 from missionsim.runs.error import Errors, RunError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -151,123 +152,90 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     ]
 
 
-DIVERGING = ("#0b4f8a", "#7fb2d9", "#f7f7f7", "#f2a477", "#a63603")
-"""Blue where the model is too low, orange where it is too high; told apart with any colour vision."""
+def picture(charts: Mapping[str, Chart]) -> Figure:
+    """Charts of a page, by their titles, as one figure of Matplotlib."""
+    columns = min(3, len(charts))
+    size = (4.2 * columns, 3.4 * -(-len(charts) // columns))
+    figure = new_figure(*(size if len(charts) > 1 else (9.0, next(iter(charts.values())).height / 90.0)))
+    parts = figure.subfigures(-(-len(charts) // columns), columns, squeeze=False).flat
+    for part, (title, chart) in zip(parts, charts.items(), strict=False):
+        layout: Any = chart.layout
+        if stacked := "domain" in layout.get("yaxis2", {}):
+            axes, other = part.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+        else:
+            axes = part.subplots()
+            other = axes.twinx() if "yaxis2" in layout else axes
+            axes.set(zorder=2, facecolor="none")
+        for name, of in {"yaxis": axes, "yaxis2": other}.items():
+            if name in layout:
+                of.set_ylabel(layout[name]["title"]["text"], fontsize=9)
+            if layout.get(name, {}).get("zeroline"):
+                of.axhline(0.0, color="black", linewidth=0.8)
+        before: Any = ()
+        for trace in chart.traces:
+            before = _paint(other if trace.get("yaxis") == "y2" else axes, trace, before)
+        label = literal(html.unescape(layout["xaxis"]["title"]["text"]))
+        (other if stacked else axes).set_xlabel(label, fontsize=9)
+        axes.set_title(literal(title), fontsize=9, loc="right")
+        if 1 < len(axes.get_legend_handles_labels()[1]) <= MOST_NAMES:
+            axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _paint(axes: Axes, trace: Mapping[str, Any], before: Any) -> Any:
+    """Draw one trace of a chart; gives its values, which a band above it begins with."""
+    x, y, marker, line = trace["x"], trace["y"], trace.get("marker", {}), trace.get("line", {})
+    if isinstance(x[0], str):
+        x = [literal(html.unescape(word)) for word in x]
+        axes.tick_params("x", rotation=35, labelsize=8)
+    if "colorscale" in marker:
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+        colours = LinearSegmentedColormap.from_list("", [colour for _, colour in marker["colorscale"]])
+        shades = ScalarMappable(Normalize(marker["cmin"], marker["cmax"]), colours)
+        axes.bar(x, y, trace["width"], bottom=trace["base"], color=shades.to_rgba(marker["color"]))
+        axes.set_aspect("equal")
+        axes.figure.colorbar(shades, ax=axes, label=marker["colorbar"]["title"]["text"])
+    elif trace["type"] == "bar":
+        width = 0.8 if isinstance(x[0], str) or len(x) < 2 else 0.8 * float(np.min(np.diff(x)))
+        axes.bar(x, y, width, color=marker["color"])
+    elif "fill" in trace:
+        axes.fill_between(x, before, y, color=MEASURED, alpha=0.15, linewidth=0, label=trace["name"])
+    elif "error_y" in trace:
+        ends = {"yerr": trace["error_y"]["array"], "ecolor": trace["error_y"]["color"], "elinewidth": 1.0}
+        width = 1.2 if "lines" in trace["mode"] else 0.0
+        axes.errorbar(x, y, **ends, color=marker["color"], marker="o", markersize=4, linewidth=width)
+    elif line["width"]:
+        axes.plot(x, y, color=line.get("color"), linewidth=line["width"], label=literal(html.unescape(trace["name"])))
+    return y
+
+
 MOST_RUNS = 12
-MOST_COVARIATES = 9
+MOST_COVARIATES, MOST_NAMES = 9, 14
 POINTS = 4000
 
 
 def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
-    """Draw every figure of a comparison into `folder`.
+    """Draw the charts of the page into `folder`.
 
     Gives ``power_<battery>_<run>.png`` (the `MOST_RUNS` worst runs), ``error_by_covariate_<battery>.png``,
     ``error_over_progress_<battery>.png`` and ``error_map_<battery>.png`` where the logs hold a pose.
     """
     written = []
     for one in comparison.batteries.values():
+        figures = {}
         for run in sorted(one.runs, key=lambda run: -run.power_rmse_w)[:MOST_RUNS]:
             name = re.sub(r"[^A-Za-z0-9._-]+", "_", run.run)[:80]
-            written.append(save_figure(power_figure(run), folder / f"power_{one.battery}_{name}.png"))
-        if one.dependences:
-            written.append(save_figure(covariate_figure(one), folder / f"error_by_covariate_{one.battery}.png"))
-        written.append(save_figure(progress_figure(one), folder / f"error_over_progress_{one.battery}.png"))
+            figures[f"power_{one.battery}_{name}"] = picture({f"{run.run}, battery {run.battery}": power(run, POINTS)})
+        if found := [d for d in one.dependences if d.by != "place"][:MOST_COVARIATES]:
+            parts = {f"{d.title}: {100.0 * d.explained:.0f} % of the variance": residual(d) for d in found}
+            figures[f"error_by_covariate_{one.battery}"] = picture(parts)
+        of = one.error_statistics
+        told = f"battery {one.battery}: peak {of.peak_pct:.2f}, final {of.final_pct:.2f}, mean {of.mean_pct:.2f}"
+        told += f", standard deviation {of.std_pct:.2f} %"
+        figures[f"error_over_progress_{one.battery}"] = picture({told: progress(one)})
         if one.places:
-            written.append(save_figure(map_figure(one), folder / f"error_map_{one.battery}.png"))
+            figures[f"error_map_{one.battery}"] = picture({f"battery {one.battery}": places(one)})
+        written += [save_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]
     return written
-
-
-def power_figure(run: RunComparison) -> Figure:
-    """Measured and modelled power over time with the error under it."""
-    figure = new_figure(9.0, 5.0)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    measured, model = run.series.power_w("measured"), run.series.power_w("model")
-    kept = shared_indices([measured, model, model - measured], POINTS)
-    time_s = run.series.middle_s[kept]
-    top.plot(time_s, measured[kept], color=MEASURED, linewidth=1.0, label="measured")
-    top.plot(time_s, model[kept], color=MODEL, linewidth=1.0, label="model")
-    top.set_ylabel("power, W")
-    top.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
-    top.set_title(literal(f"{run.run}, battery {run.battery}"), loc="right", fontsize=10)
-    bottom.axhline(0.0, color="black", linewidth=0.8)
-    bottom.plot(time_s, (model - measured)[kept], color=RESIDUAL, linewidth=0.8)
-    bottom.set_ylabel("model − measured, W")
-    bottom.set_xlabel("time since the start, s")
-    return figure
-
-
-def covariate_figure(one: BatteryComparison) -> Figure:
-    """Mean and spread of the power error against the covariates that explain most of it."""
-    found = [d for d in one.dependences if d.by != "place"][:MOST_COVARIATES]
-    columns = min(3, len(found))
-    rows = -(-len(found) // columns)
-    figure = new_figure(4.0 * columns, 3.2 * rows)
-    for axes, dependence in zip(figure.subplots(rows, columns, squeeze=False).flat, found, strict=False):
-        bins = dependence.fine
-        numeric = bins[0].low is not None
-        x: Any = [0.5 * ((b.low or 0.0) + (b.high or 0.0)) for b in bins] if numeric else np.arange(len(bins))
-        axes.axhline(0.0, color="black", linewidth=0.8)
-        style: dict[str, Any] = {"color": MODEL, "ecolor": "#c3cad3", "marker": "o", "markersize": 4, "elinewidth": 1.0}
-        bias, spread = [b.bias_w for b in bins], [b.spread_w for b in bins]
-        axes.errorbar(x, bias, spread, linewidth=1.2 if numeric else 0.0, **style)
-        if not numeric:
-            step = max(1, -(-len(bins) // 12))
-            axes.set_xticks(x[::step], [literal(b.value) for b in bins][::step], rotation=35, ha="right", fontsize=8)
-        axes.set_xlabel(literal(f"{dependence.title}, {dependence.unit}" if dependence.unit else dependence.title))
-        axes.set_ylabel("error, W")
-        axes.set_title(f"goes with {100.0 * dependence.explained:.0f} % of the variance", fontsize=9, loc="right")
-    for axes in figure.axes[len(found) :]:
-        axes.set_visible(False)
-    figure.suptitle(
-        f"Power error (model − measured) by covariate, battery {one.battery}: mean and standard deviation", fontsize=11
-    )
-    return figure
-
-
-def progress_figure(one: BatteryComparison) -> Figure:
-    """Error of the energy so far over the progress of the runs."""
-    figure = new_figure(8.0, 4.0)
-    axes = figure.subplots()
-    axes.axhline(0.0, color="black", linewidth=0.8)
-    if len(one.runs) > 1:
-        for i, run in enumerate(one.runs):
-            label = "single runs" if i == 0 else None
-            axes.plot(100.0 * run.progress, run.error_curve_pct, linewidth=0.8, color="#aab2bd", label=label)
-    axes.plot(100.0 * one.progress, one.error_curve_pct, color=MODEL, linewidth=2.0, label="all runs")
-    axes.set_xlabel("progress, % of the run's time")
-    axes.set_ylabel("error of the energy so far, %")
-    found = one.error_statistics
-    told = f"peak {found.peak_pct:.2f}, final {found.final_pct:.2f}, mean {found.mean_pct:.2f}"
-    told += f", standard deviation {found.std_pct:.2f} %"
-    axes.set_title(f"battery {one.battery}: {told}", fontsize=10, loc="right")
-    axes.legend(frameon=False)
-    return figure
-
-
-def error_grid(cells: Sequence[PlaceCell]) -> tuple[Array, float]:
-    """Mean power error by place, shape (rows, columns), NaN where the robot never was; and its 98th percentile."""
-    places = np.array([(c.y_m, c.x_m) for c in cells])
-    row, column = np.rint((places - places.min(axis=0)) / cells[0].width_m).astype(int).T
-    grid = np.full((row.max() + 1, column.max() + 1), np.nan)
-    grid[row, column] = [-c.gap_j / c.seconds for c in cells]
-    return grid, float(np.nanquantile(np.abs(grid), 0.98)) or 1.0
-
-
-def map_figure(one: BatteryComparison) -> Figure:
-    """Mean power error by place."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    grid, limit = error_grid(one.places)
-    rows, columns = grid.shape
-    figure = new_figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
-    axes = figure.subplots()
-    edge, x, y = 0.5 * one.places[0].width_m, [c.x_m for c in one.places], [c.y_m for c in one.places]
-    extent = (min(x) - edge, max(x) + edge, min(y) - edge, max(y) + edge)
-    colours: dict[str, Any] = {"cmap": LinearSegmentedColormap.from_list("error", DIVERGING), "vmin": -limit}
-    image = axes.imshow(grid, origin="lower", vmax=limit, interpolation="nearest", extent=extent, **colours)
-    axes.set_facecolor("#e5e8ec")
-    figure.colorbar(image, ax=axes, label="mean error (model − measured), W")
-    axes.set_xlabel("x, m")
-    axes.set_ylabel("y, m")
-    axes.set_title(f"battery {one.battery}", loc="right", fontsize=10)
-    return figure

@@ -6,12 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from missionsim.compare import BatteryComparison, Comparison, Dependence
+from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
 from missionsim.numerals import in_wh, rounded, watts
 from missionsim.report import page as web
-from missionsim.report.compare_files import DIVERGING, error_grid
 from missionsim.report.page import label
 from missionsim.report.terminal import signed
 
@@ -42,7 +41,7 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
         "Where it fails": _where,
         "Power over time": lambda one: _power(one, len(batteries)),
         "Error over the progress of the run": _progress,
-        "Where on the map": _map,
+        "Where on the map": lambda one: [places(one)] if one.places else [],
         "Behaviour and power model": _behaviour,
         "Runs and components": _runs,
     }
@@ -109,13 +108,14 @@ def _where(one: BatteryComparison) -> list[web.Block]:
         columns = ["quantity", "value", "explains", "bias, W", "time, s", "share of squared error", "energy gap, Wh"]
         caption = "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)"
         blocks.append(web.Table(columns, rows, caption, 3, 2))
-    charts = [(d.title, [_residual(d)]) for d in sorted(one.dependences, key=lambda d: -d.explained) if d.by != "place"]
+    charts = [(d.title, [residual(d)]) for d in sorted(one.dependences, key=lambda d: -d.explained) if d.by != "place"]
     if charts:
         blocks.append(web.Choice("Error against", charts))
     return blocks
 
 
-def _residual(found: Dependence) -> web.Chart:
+def residual(found: Dependence) -> web.Chart:
+    """Power error against a covariate."""
     bins = found.fine
     numeric = bins[0].low is not None
     x: web.Values = [label(b.value) if b.low is None or b.high is None else 0.5 * (b.low + b.high) for b in bins]
@@ -164,24 +164,29 @@ def _power(one: BatteryComparison, batteries: int) -> list[web.Block]:
     note = f"The {MOST_RUNS} runs with the largest power error of {len(one.runs)}." if more else ""
     charts: list[tuple[str, list[web.Block]]] = []
     for run in shown:
-        series = run.series
-        measured, model = series.power_w("measured"), series.power_w("model")
-        kept = web.shared_indices([measured, model, model - measured], points)
-        time_s = series.middle_s[kept]
-        traces: list[web.Trace] = []
-        if series.rows > 1:
-            low, high = (series.columns[f"measured_{end}_w"][kept] for end in ("low", "high"))
-            traces += web.band(time_s, low, high, "range of the measured power", 0.15)
-        for name, values, colour, on in (
-            ("measured", measured, web.MEASURED, "y"),
-            ("model", model, web.MODEL, "y"),
-            ("model minus measured", model - measured, web.RESIDUAL, "y2"),
-        ):
-            traces.append(web.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
-        joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
-        caption = f"{run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
-        charts.append((run.run, [web.over_time(traces, "error, W", caption)]))
+        charts.append((run.run, [power(run, points)]))
     return web.one_of("Run", charts, note)
+
+
+def power(run: RunComparison, points: int) -> web.Chart:
+    """Measured and modelled power over time, the error under it, in so many points."""
+    series = run.series
+    measured, model = series.power_w("measured"), series.power_w("model")
+    kept = web.shared_indices([measured, model, model - measured], points)
+    time_s = series.middle_s[kept]
+    traces: list[web.Trace] = []
+    if series.rows > 1:
+        low, high = (series.columns[f"measured_{end}_w"][kept] for end in ("low", "high"))
+        traces += web.band(time_s, low, high, "range of the measured power", 0.15)
+    for name, values, colour, on in (
+        ("measured", measured, web.MEASURED, "y"),
+        ("model", model, web.MODEL, "y"),
+        ("model minus measured", model - measured, web.RESIDUAL, "y2"),
+    ):
+        traces.append(web.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
+    joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
+    caption = f"{run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
+    return web.over_time(traces, "error, W", caption)
 
 
 def _progress(one: BatteryComparison) -> list[web.Block]:
@@ -190,6 +195,12 @@ def _progress(one: BatteryComparison) -> list[web.Block]:
         told.append(("simulated plan", "measured", plan.error_statistics))
         told.append(("simulated plan", "plan", plan.error_statistics_predicted))
     rows = [[of, to, found.peak_pct, found.final_pct, found.mean_pct, found.std_pct] for of, to, found in told]
+    columns = ["of", "relative to", "peak, %", "final, %", "mean, %", "standard deviation, %"]
+    return [progress(one), web.Table(columns, rows, "Statistics of the magnitude of the error over progress", 3)]
+
+
+def progress(one: BatteryComparison) -> web.Chart:
+    """Error of the energy so far over the progress of the runs."""
     hover = "%{y:+.2f} %"
     traces = [web.line(100.0 * one.progress, one.error_curve_pct, "all runs", "#1f2933", 2.5, hovertemplate=hover)]
     for run in one.runs[:MOST_RUNS] if len(one.runs) > 1 else ():
@@ -199,27 +210,26 @@ def _progress(one: BatteryComparison) -> list[web.Block]:
         "xaxis": web.axis("progress, % of the run's time"),
         "yaxis": web.axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
     }
-    columns = ["of", "relative to", "peak, %", "final, %", "mean, %", "standard deviation, %"]
-    return [
-        web.Chart(traces, layout, "Error of the energy spent so far, model minus measured, relative to measured.", 400),
-        web.Table(columns, rows, "Statistics of the magnitude of the error over progress", 3),
-    ]
+    return web.Chart(
+        traces, layout, "Error of the energy spent so far, model minus measured, relative to measured.", 400
+    )
 
 
-def _map(one: BatteryComparison) -> list[web.Block]:
-    if not one.places:
-        return []
-    cells = one.places
-    grid, limit = error_grid(cells)
+DIVERGING = ("#0b4f8a", "#7fb2d9", "#f7f7f7", "#f2a477", "#a63603")
+"""Blue where the model is too low, orange where it is too high; told apart with any colour vision."""
+
+
+def places(one: BatteryComparison) -> web.Chart:
+    """Mean power error by place."""
+    cells, width = one.places, one.places[0].width_m
+    x, y, errors = np.array([(c.x_m, c.y_m, -c.gap_j / c.seconds) for c in cells]).T
     heat = web.tiles(
-        np.array([c.x_m for c in cells]),
-        np.array([c.y_m for c in cells]),
-        np.array([-c.gap_j / c.seconds for c in cells]),
-        size=cells[0].width_m,
-        limit=limit,
+        *(x, y, errors),
+        size=width,
+        limit=float(np.quantile(np.abs(errors), 0.98)) or 1.0,
         colours=DIVERGING,
         bar=web.axis("error, W"),
-        hovertext=[f"{c.value}: {watts(-c.gap_j / c.seconds)}, {c.seconds:.0f} s" for c in cells],
+        hovertext=[f"{c.value}: {watts(w)}, {c.seconds:.0f} s" for c, w in zip(cells, errors.tolist(), strict=True)],
         hovertemplate="%{hovertext}<extra></extra>",
     )
     layout = {
@@ -231,7 +241,8 @@ def _map(one: BatteryComparison) -> list[web.Block]:
         "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
         "98th percentile."
     )
-    return [web.Chart([heat], layout, caption, int(np.clip(900 * grid.shape[0] / grid.shape[1], 320, 760)))]
+    height = 900.0 * (np.ptp(y) + width) / (np.ptp(x) + width)
+    return web.Chart([heat], layout, caption, int(np.clip(height, 320, 760)))
 
 
 def _behaviour(one: BatteryComparison) -> list[web.Block]:
