@@ -161,6 +161,8 @@ class Rounds:
         self.state = self.library = start
         self.split, self.battery, self.settings, self.ask, self.priors = split, battery, settings, ask, priors
         self.declined: list[str] = []
+        self.rivals = {effect.effect: {*effect.indistinguishable_from} for effect in start.last.effects}
+        """What each could not be told from at first; one of these in the file tells no more."""
         self.nothing = Counter[str]()
         """How often each came to nothing beside others."""
         self.by_law: set[str] = set()
@@ -213,6 +215,8 @@ class Rounds:
         new = []
         for effect in state.last.effects:
             if effect.indistinguishable_from or effect.effect in (*self.declined, *known):
+                continue
+            if self.rivals.get(effect.effect, set()) & {one.effect for one in state.taken}:
                 continue
             if self.ask(effect, state.last):
                 new.append(effect)
