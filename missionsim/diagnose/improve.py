@@ -210,13 +210,11 @@ class Rounds:
     def of_library(self) -> bool:
         """Add what the library names anew; whether there was something."""
         # what came to nothing beside some may be something beside others
-        state = self.state
-        known = {*(name for name, n in self.nothing.items() if n > 1), *(effect.effect for effect in state.taken)}
-        new = []
+        state, inside, new = self.state, {effect.effect for effect in self.state.taken}, []
+        known = {*(name for name, n in self.nothing.items() if n > 1), *inside}
         for effect in state.last.effects:
-            if effect.indistinguishable_from or effect.effect in (*self.declined, *known):
-                continue
-            if self.rivals.get(effect.effect, set()) & {one.effect for one in state.taken}:
+            told = {*effect.indistinguishable_from} or self.rivals.get(effect.effect, set()) & inside
+            if told or effect.effect in (*self.declined, *known):
                 continue
             if self.ask(effect, state.last):
                 new.append(effect)
