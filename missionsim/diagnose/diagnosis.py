@@ -32,6 +32,7 @@ from missionsim.identify.findings import (
     RunSeries,
     Structure,
 )
+from missionsim.identify.forward import LOGGED
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
@@ -49,6 +50,7 @@ MOST_WHERE = 4
 MOST_SHIFTS = 4
 MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 STANDS_IN = "stood in for a law that the library does not hold"
+OTHER_FACTOR = "a law of its column has a factor that no converter has"
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together, or to more than can be"
 
 
@@ -304,9 +306,10 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
     if any(law.first.low <= 0.0 <= law.first.high for law in proposed):  # nothing beside the base, once both are fitted
         return judged(seen, laws=False)
     named, stood_in = {effect.effect for effect in effects}, {name for law in proposed for name in law.instead_of}
-    candidates = []
+    candidates, of_watts = [], {f"{LOGGED}:{name}" for law in proposed for name in law.first.variables}
     for one in found.candidates:
-        gone = STANDS_IN if one.effect in stood_in else NOTHING_LEFT if one.accepted and one.effect not in named else ""
+        gone = STANDS_IN if one.effect in stood_in else OTHER_FACTOR if one.effect in of_watts else ""
+        gone = gone or (NOTHING_LEFT if one.accepted and one.effect not in named else "")
         candidates.append(replace(one, accepted=False, open=True, reason=gone) if gone else one)
     return Named(effects, tuple(candidates), proposed, fitted, written[0][1] if written else fitted)
 

@@ -90,7 +90,9 @@ def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:
     assert first["formula"] == "k * (1 - (abs(speed_m_s) >= 0.005 or abs(yaw_rate_rad_s) >= 0.02)) * payload_kg"
 
 
-def test_watts_of_one_of_several_like_loads_are_a_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watts_of_one_of_several_like_loads_are_a_law(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Three arms draw alike and one of them is logged: no converter has that factor, and yet the column explains it."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(3)
@@ -108,6 +110,10 @@ def test_watts_of_one_of_several_like_loads_are_a_law(tmp_path: Path, monkeypatc
         )
     base = ["calibrate", "--new", "rover", "--base", "k1*v + k0", "--mass", "20 kg", "train", "--quiet"]
     assert run_command([*base, "--out", "rover.yaml"]) == 0
+    assert run_command(["diagnose", "--robot", "rover.yaml", "train", "--holdout", "later", "--json", "seen.json"]) == 0
+    named = {one["effect"]: one for one in json.loads(Path("seen.json").read_text())["batteries"]["main"]["candidates"]}
+    assert "of its column" in named["logged_power:arm_w"]["reason"]
+    assert "logged_power:arm_w" not in capsys.readouterr().out.partition("NOT SEEN")[2]
     asked = ["improve", "--robot", "rover.yaml", "train", "--holdout", "later", "--yes", "--out", "better.yaml"]
     assert run_command([*asked, "--json", "found.json", "--quiet"]) == 0
     effect = yaml.safe_load(Path("better.yaml").read_text())["effects"][0]
