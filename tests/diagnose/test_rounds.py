@@ -147,7 +147,10 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     monkeypatch: pytest.MonkeyPatch, tried: tuple[str, ...], laws: int
 ) -> None:
     law = SimpleNamespace(
-        far_better=False, takes_over=False, instead_of=("grade",), first=SimpleNamespace(low=1.0, high=2.0)
+        far_better=False,
+        takes_over=False,
+        instead_of=("grade",),
+        first=SimpleNamespace(variables=(), low=1.0, high=2.0),
     )
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
@@ -240,7 +243,7 @@ class Formed:
     """A law, as far as `judged` looks at it."""
 
     instead_of: tuple[str, ...] = ()
-    first: Any = field(default_factory=lambda: SimpleNamespace(low=1.0, high=2.0), compare=False)
+    first: Any = field(default_factory=lambda: SimpleNamespace(variables=(), low=1.0, high=2.0), compare=False)
 
 
 @pytest.mark.parametrize(
