@@ -385,10 +385,10 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
             words += (
                 "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
             )
-        elif len(own) and not {*own.tolist()} & {*model.chosen} and cause_is_constant(model, int(own[0])):
+        elif not len(own) or {*own.tolist()} & {*model.chosen} or not cause_is_constant(model, int(own[0])):
+            continue
+        elif len(design.runs) <= max(FEWEST_FOLDS, SEVERAL_RUNS * len(candidate.levels)):  # more would tell
             constant.append(candidate.effect)
-    if len(design.runs) > FEWEST_FOLDS:  # that many would tell
-        constant = []
     if constant:
         words += (
             f"; it may be {' or '.join(constant)}, whose cause is constant in runs, of which these are too few to tell"

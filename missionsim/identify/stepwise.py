@@ -246,11 +246,13 @@ def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:
     acts = np.array([[np.abs(design.phi[k, rows]).sum() for k in own] for rows in design.runs])
     if np.any(np.sum(acts > 0.0, axis=1) > 1):
         return 1.0  # a label that changes in runs is asked there
-    levels = np.argmax(acts, axis=1)
-    wants = np.empty(len(levels))  # what each run alone would have its level draw
-    for j, (rows, i) in enumerate(zip(design.runs, levels, strict=True)):
-        x = design.phi[own[i], rows] - design.phi[own[i], rows].mean()
-        wants[j] = float(x @ left[rows]) / max(float(x @ x), 1e-300)
+    offset = (model.noise.total_sd_w / (USUAL_GAIN * design.layout.mean_power_w)) ** 2
+    driven = np.flatnonzero(acts.any(axis=1))  # of the floor on which it stood a run says nothing
+    levels, wants = np.argmax(acts[driven], axis=1), np.empty(len(driven))  # what each alone would have its level draw
+    for j, (rows, i) in enumerate(zip([design.runs[n] for n in driven], levels, strict=True)):
+        # beside an offset such as meters have: of a run at one speed it takes a part
+        x = np.column_stack([design.phi[own[i], rows], np.ones(rows.stop - rows.start)])
+        wants[j] = np.linalg.solve(x.T @ x + np.diag([0.0, offset]), x.T @ left[rows])[0]
     groups = [wants[levels == i] for i in np.unique(levels)]
     within, freedom = sum(float(np.sum((g - g.mean()) ** 2)) for g in groups), len(wants) - len(groups)
     between = sum(len(g) * float(g.mean() - wants.mean()) ** 2 for g in groups)
