@@ -30,7 +30,7 @@ class Structure:
     times: str = ""
     """Covariate that its curve is multiplied by, if any."""
     effects: tuple[str, ...] = ()
-    """Effects that it may be, of which the runs are too few to tell."""
+    """Effects that it may be, which the runs, too few or in such an order, do not tell."""
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ def drifts_instead(model: Model) -> dict[str, Structure]:
                 "these data cannot tell; drive in another order"
             )
             share = model.gram.coefficients(model.chosen)[0][[k in own for k in model.chosen]].sum()
-            told[candidate.effect] = Structure("", 0.0, 0.0, abs(float(share)), words)
+            told[candidate.effect] = Structure("", 0.0, 0.0, abs(float(share)), words, effects=(candidate.effect,))
     return told
 
 

@@ -24,7 +24,7 @@ from missionsim.laws.grammar import Grammar
 from missionsim.laws.search import Fitted, Scored, Search, Searched
 from missionsim.numerals import watts
 from missionsim.physics import Array
-from missionsim.runs.covariates import repeated
+from missionsim.runs.covariates import logged_name, repeated
 
 ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""
@@ -160,6 +160,10 @@ def _propose(
         # may have this one, and watts of one of several like loads come with a factor that no converter has
         twin = _twin(fitted, search.ground, found)
         told = twin in ("", *found.demoted, *instead) or twin.startswith(f"{LOGGED}:")
+        # a drift over the runs stands behind a law of what it may stand behind
+        drifts = {name for one in found.unexplained.structures if not one.covariate for name in one.effects}
+        doubted = {logged_name(one.covariate) for one in found.library if one.effect in drifts}
+        told &= not doubted or not {*search.grammar.variables(near[0].form)} - {"speed_m_s"} <= doubted
     if not told:
         # what leads and fails may hide what holds
         lead = {*search.grammar.variables(near[0].form)} - {"speed_m_s"}

@@ -172,3 +172,16 @@ def test_what_few_runs_differ_by_may_be_all_that_is_constant_in_them(tmp_path: P
     assert "that these data do not name" in headline(found)
     limits = {one.effect: one.smallest_detectable_share for one in found.candidates}
     assert min(limits["payload"], limits["temperature_friction"]) > 0.11  # 9 and 11 % of the base's energy are hidden
+
+
+@pytest.mark.usefixtures("shared")
+def test_a_drift_that_may_stand_behind_floor_and_cold_may_stand_behind_a_law_of_both(tmp_path: Path) -> None:
+    """Neither was named, and their product was: the energy of further runs went from 18 to 55 % off."""
+    drives, _ = make("husky", 41, ("floor", "cold"))
+    order = np.random.default_rng(41).permutation(len(drives))[:12]
+    write([drives[i] for i in order], tmp_path / "train")
+    logs = read_logs([tmp_path / "train"])
+    made = calibrate_new(NewRobot("own", BASE, mass="50 kg", drive="skid_steer"), logs)
+    found = diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+    assert "either temperature_friction, or a steady drift" in found.unexplained.shape
+    assert not [law for law in found.proposed_laws if {*law.certain} <= {"temp_ambient_c", "surface"}]
