@@ -67,7 +67,7 @@ def choose(source: Source) -> Choice:
         # of a column that is noisy or late, or constant in runs, what runs differ by and a noise as slow as it is take
         # what it says
         selected = forward(source, near=True)
-        if selected is not None and selected.stands(found.model):
+        if selected is not None and selected.stands(confirmed(found).model):
             return _by_prediction(source, selected)
     return found
 
@@ -246,19 +246,25 @@ def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:
     acts = np.array([[np.abs(design.phi[k, rows]).sum() for k in own] for rows in design.runs])
     if np.any(np.sum(acts > 0.0, axis=1) > 1):
         return 1.0  # a label that changes in runs is asked there
-    offset = (model.noise.total_sd_w / (USUAL_GAIN * design.layout.mean_power_w)) ** 2
     driven = np.flatnonzero(acts.any(axis=1))  # of the floor on which it stood a run says nothing
-    levels, wants = np.argmax(acts[driven], axis=1), np.empty(len(driven))  # what each alone would have its level draw
-    for j, (rows, i) in enumerate(zip([design.runs[n] for n in driven], levels, strict=True)):
-        # beside an offset such as meters have: of a run at one speed it takes a part
-        x = np.column_stack([design.phi[own[i], rows], np.ones(rows.stop - rows.start)])
-        wants[j] = np.linalg.solve(x.T @ x + np.diag([0.0, offset]), x.T @ left[rows])[0]
-    groups = [wants[levels == i] for i in np.unique(levels)]
-    within, freedom = sum(float(np.sum((g - g.mean()) ** 2)) for g in groups), len(wants) - len(groups)
-    between = sum(len(g) * float(g.mean() - wants.mean()) ** 2 for g in groups)
+    levels = np.argmax(acts[driven], axis=1)
+    groups = [np.flatnonzero(levels == i) for i in np.unique(levels)]
+    freedom = len(driven) - len(groups)
     if len(groups) < 2 or freedom < 1:
         return 1.0
-    return float(fdtrc(len(groups) - 1, freedom, between / (len(groups) - 1) / max(within / freedom, 1e-300)))
+    usual = (model.noise.total_sd_w / (USUAL_GAIN * design.layout.mean_power_w)) ** 2
+    least = 1.0
+    # beside any offset of the run, as of a base that is off, or such as meters have: at one speed there is no other
+    for offset in (1e-9, usual):
+        wants = np.empty(len(driven))  # what each run alone would have its level draw
+        for j, (n, i) in enumerate(zip(driven, levels, strict=True)):
+            x = np.column_stack([design.phi[own[i], design.runs[n]], np.ones_like(left[design.runs[n]])])
+            wants[j] = np.linalg.solve(x.T @ x + np.diag([1e-9, offset]), x.T @ left[design.runs[n]])[0]
+        within = sum(float(np.sum((wants[g] - wants[g].mean()) ** 2)) for g in groups)
+        between = sum(len(g) * float(wants[g].mean() - wants.mean()) ** 2 for g in groups)
+        f = between / (len(groups) - 1) / max(within / freedom, 1e-300)
+        least = min(least, float(fdtrc(len(groups) - 1, freedom, f)))
+    return min(1.0, 2.0 * least)  # two questions
 
 
 def refit_shapes(
