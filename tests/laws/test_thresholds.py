@@ -157,7 +157,9 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
     for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
         monkeypatch.setattr(proposal, "_judged", lambda *_, sd=scatter: ([None], [], fitted, Gates(sd, {})))
-        made, *_ = proposal._propose(None, PLAIN, False, SimpleNamespace(noise={}, demoted=()))
+        left = SimpleNamespace(structures=())
+        found = SimpleNamespace(noise={}, demoted=(), library=(), unexplained=left)
+        made, *_ = proposal._propose(None, PLAIN, False, found)
         assert made.share_sd == pytest.approx(sd, rel=1e-3)
 
 
