@@ -36,22 +36,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     the final name; its folder is made. Yields an empty temporary file with the same suffix, to be written by the
     caller.
     """
-    # what a path leads to, whether that is a device, and an empty temporary file beside it
-    final = Path(path)
-    special = is_device(final)
-    if final.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "this is a folder, a file is to be written", str(path))
-    if final.is_symlink() and not special:
-        final = final.resolve()
-    try:
-        if not special:
-            final.parent.mkdir(parents=True, exist_ok=True)
-        folder = None if special else final.parent.absolute()  # Arrow takes a path that begins with ~ for a home
-        handle, name = tempfile.mkstemp(prefix=f".{final.stem}.", suffix=final.suffix, dir=folder)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    os.close(handle)
-    temporary = Path(name)
+    final, special, temporary = _begin(path)
     try:
         yield temporary
         if special:
@@ -69,6 +54,25 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise OSError(error.errno, os.strerror(error.errno) if error.errno else str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _begin(path: str | os.PathLike[str]) -> tuple[Path, bool, Path]:
+    """What a path leads to, whether that is a device, and an empty temporary file beside it."""
+    final = Path(path)
+    special = is_device(final)
+    if final.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "this is a folder, a file is to be written", str(path))
+    if final.is_symlink() and not special:
+        final = final.resolve()
+    try:
+        if not special:
+            final.parent.mkdir(parents=True, exist_ok=True)
+        folder = None if special else final.parent.absolute()  # Arrow takes a path that begins with ~ for a home
+        handle, name = tempfile.mkstemp(prefix=f".{final.stem}.", suffix=final.suffix, dir=folder)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    os.close(handle)
+    return final, special, Path(name)
 
 
 def fields_of(item: object, names: str) -> Json:

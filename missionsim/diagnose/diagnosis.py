@@ -11,9 +11,10 @@ import numpy as np
 
 from missionsim.compare.where import WORTH_SAYING, Accumulator, Where, dependences, ranked
 from missionsim.diagnose.examine import Examined, Subject, examine
-from missionsim.diagnose.execution import execution_effects, leftover, seen_once, told_of
+from missionsim.diagnose.execution import execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
 from missionsim.diagnose.heldout import Models
+from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import as_finding, as_written, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split

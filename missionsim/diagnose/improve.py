@@ -11,8 +11,8 @@ from pathlib import Path
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import NO_PRIOR_SD, Examined, Subject, examine, prior_before
-from missionsim.diagnose.execution import fed_note, straight_note
 from missionsim.diagnose.heldout import Models
+from missionsim.diagnose.leftover import fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, law_name, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking

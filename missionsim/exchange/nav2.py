@@ -44,6 +44,14 @@ def read(root: Value, site: Site) -> None:
             edges.append(properties)
         else:
             site.tell(f"left out: {kind or 'a feature of no kind'}: a route graph has points and lines", feature.line)
+    names = _nodes(root, site, nodes)
+    for edge in edges:
+        _edge(edge, site, names)
+    if not nodes:
+        root.fault("a route graph without nodes", "features of the kind Point")
+
+
+def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[str, str]:
     names: dict[str, str] = {}
     positions = [_position(geometry) for _, geometry in nodes]
     plane = None
@@ -69,10 +77,7 @@ def read(root: Value, site: Site) -> None:
         if charger := says_charger(data):
             site.tell("node is taken for a charger, because its metadata says so", properties.line)
         names[number] = site.place(number, (where[0], where[1]), height, title=title, charger=charger)
-    for edge in edges:
-        _edge(edge, site, names)
-    if not nodes:
-        root.fault("a route graph without nodes", "features of the kind Point")
+    return names
 
 
 def _position(geometry: Value) -> tuple[float, ...] | None:

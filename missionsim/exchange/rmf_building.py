@@ -89,22 +89,7 @@ def read(root: Value, site: Site) -> None:
         root.fault("a building without levels", "levels: {L1: …}")
     if system == "reference_image":
         for level in levels.values():
-            # m per pixel of each measurement: distance over drawn length
-            for measurement in level.value.entries("measurements"):
-                ends, parameters = _ends(measurement, level)
-                if len(ends) < 2 or "distance" not in parameters:
-                    measurement.fault(
-                        "a measurement is two vertices and their distance", "[0, 1, {distance: [3, 12.5]}]"
-                    )
-                    continue
-                distance = parameters["distance"].number(1e-3, 1e6)
-                a, b = (None if end is None else end.point for end in ends)
-                if distance is None or a is None or b is None:
-                    continue
-                if a == b:
-                    measurement.fault("a measurement between two vertices at one place", "vertices that lie apart")
-                    continue
-                level.pixels.append(distance / abs(b - a))
+            level.pixels = _pixels(level)
     if not levels or root.faults.found:
         return
     reference = levels.get(root.word("reference_level_name"), next(iter(levels.values())))
@@ -116,17 +101,7 @@ def read(root: Value, site: Site) -> None:
         return
     _enter_cabins(root, levels, reference, flip, site)
     if system == "reference_image":
-        # lay a level without fiducials over the reference level by the cabin of a lift that both have
-        fixed = {vertex.cabin: vertex.point for vertex in reference.vertices if vertex.cabin}
-        for level in levels.values():
-            for vertex in level.vertices:
-                home, own = fixed.get(vertex.cabin), vertex.point
-                if level is reference or level.shift or home is None or own is None or level.turn != 1.0:
-                    continue
-                level.shift = reference.at(home) - level.at(own)
-                site.tell(
-                    "level without fiducials is laid over the reference level by a lift's cabin", level.value.line
-                )
+        _align_by_lifts(levels, reference, site)
     _build(levels, site)
 
 
@@ -225,6 +200,25 @@ def _scales(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
         level.shift = -sum(level.at(b) - reference.scale * a for a, b in pairs) / len(pairs)
 
 
+def _pixels(level: _Level) -> list[float]:
+    """m per pixel of each measurement: distance over drawn length."""
+    found = []
+    for measurement in level.value.entries("measurements"):
+        ends, parameters = _ends(measurement, level)
+        if len(ends) < 2 or "distance" not in parameters:
+            measurement.fault("a measurement is two vertices and their distance", "[0, 1, {distance: [3, 12.5]}]")
+            continue
+        distance = parameters["distance"].number(1e-3, 1e6)
+        a, b = (None if end is None else end.point for end in ends)
+        if distance is None or a is None or b is None:
+            continue
+        if a == b:
+            measurement.fault("a measurement between two vertices at one place", "vertices that lie apart")
+            continue
+        found.append(distance / abs(b - a))
+    return found
+
+
 def _measured(level: _Level, site: Site) -> float | None:
     """m per pixel, the mean of the measurements."""
     found = level.pixels
@@ -302,6 +296,18 @@ def _enter_cabins(root: Value, levels: dict[str, _Level], reference: _Level, fli
     for name, lift in root.items("lifts"):
         if sum(any(vertex.cabin == name for vertex in level.vertices) for level in levels.values()) < 2:
             site.tell(f"left out: lift '{clean(name)[:40]}', in which no vertices of two levels stand", lift.line)
+
+
+def _align_by_lifts(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
+    """Lay a level without fiducials over the reference level by the cabin of a lift that both have."""
+    fixed = {vertex.cabin: vertex.point for vertex in reference.vertices if vertex.cabin}
+    for level in levels.values():
+        for vertex in level.vertices:
+            home, own = fixed.get(vertex.cabin), vertex.point
+            if level is reference or level.shift or home is None or own is None or level.turn != 1.0:
+                continue
+            level.shift = reference.at(home) - level.at(own)
+            site.tell("level without fiducials is laid over the reference level by a lift's cabin", level.value.line)
 
 
 def _build(levels: dict[str, _Level], site: Site) -> None:

@@ -17,11 +17,12 @@ from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated
 from missionsim.identify.forward import Choice
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
+from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead
-from missionsim.identify.stepwise import choose, confirmed, forced, refit_shapes
+from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
 
 

@@ -63,33 +63,7 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
         rows = Blocks.of(design, noise, design.residual[None, :], chosen)
         noise = _fitted(likelihood, noise, rows, enough)
         if enough == ROUGHLY or not thorough:
-            # growth of the noise with power, and Huber weights, from the innovations
-            e = innovations(design, replace(noise, weight=np.minimum(1.0, noise.weight)), chosen) / np.sqrt(
-                noise.weight
-            )
-            level = log_level(design)
-            spread = float(np.var(level))
-            exponent = noise.exponent
-            if spread > 1e-4:
-                size = np.log(np.maximum(np.abs(e), 0.05))
-                # regression of log size on log power: its slope is the exponent
-                slope = float(np.mean((level - level.mean()) * (size - size.mean()))) / spread
-                certainty = len(e) * spread / (len(e) * spread + 1.2 / 0.25)
-                exponent = float(np.clip(noise.exponent + certainty * slope, 0.0, 1.0))
-            scale = np.exp(exponent * level)
-            # innovations under the new scale, without whitening anew
-            e = e * noise.scale / scale
-            ramp, switch = edge_variance(design, noise, scale)
-            tried_ramp = np.concatenate([[0.0], np.geomspace(3e-4, 0.3, 13)])
-            tried_switch = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)]) if np.any(switch) else np.zeros(1)
-            grid = np.array([(a, b) for a in tried_ramp for b in tried_switch])
-            near = (ramp > 0.01) | (switch > 0.01)
-            variance = 1.0 + grid @ np.vstack([ramp[near], switch[near]])
-            # outliers capped at five sd must not pass for uncertain edges
-            cost = np.sum(np.log(variance) + np.minimum(e[near] ** 2, 25.0) / variance, axis=1)
-            ramp_error, switch_error = (float(x) for x in grid[int(np.argmin(cost))])
-            found = replace(noise, exponent=exponent, scale=scale, ramp_error=ramp_error, switch_error=switch_error)
-            noise = replace(found, weight=_weights(e, 1.0 + ramp_error * ramp + switch_error * switch))
+            noise = _fit_scale(design, noise, chosen)
     return noise
 
 
@@ -244,6 +218,34 @@ def _fitted(cost: _Likelihood, noise: Noise, rows: Blocks, enough: float) -> Noi
     sigma_w, offset_w, gain, motion_gain = cost.levels(x)
     noise = replace(noise, fast_s=fast_s, slow_s=slow_s, fast_share=fast_share, slow_share=slow_share)
     return replace(noise, sigma_w=sigma_w, offset_w=offset_w, gain=gain, motion_gain=motion_gain)
+
+
+def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
+    """Growth of the noise with power, and Huber weights, from the innovations."""
+    e = innovations(design, replace(noise, weight=np.minimum(1.0, noise.weight)), chosen) / np.sqrt(noise.weight)
+    level = log_level(design)
+    spread = float(np.var(level))
+    exponent = noise.exponent
+    if spread > 1e-4:
+        size = np.log(np.maximum(np.abs(e), 0.05))
+        # regression of log size on log power: its slope is the exponent
+        slope = float(np.mean((level - level.mean()) * (size - size.mean()))) / spread
+        certainty = len(e) * spread / (len(e) * spread + 1.2 / 0.25)
+        exponent = float(np.clip(noise.exponent + certainty * slope, 0.0, 1.0))
+    scale = np.exp(exponent * level)
+    # innovations under the new scale, without whitening anew
+    e = e * noise.scale / scale
+    ramp, switch = edge_variance(design, noise, scale)
+    tried_ramp = np.concatenate([[0.0], np.geomspace(3e-4, 0.3, 13)])
+    tried_switch = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)]) if np.any(switch) else np.zeros(1)
+    grid = np.array([(a, b) for a in tried_ramp for b in tried_switch])
+    near = (ramp > 0.01) | (switch > 0.01)
+    variance = 1.0 + grid @ np.vstack([ramp[near], switch[near]])
+    # outliers capped at five sd must not pass for uncertain edges
+    cost = np.sum(np.log(variance) + np.minimum(e[near] ** 2, 25.0) / variance, axis=1)
+    ramp_error, switch_error = (float(x) for x in grid[int(np.argmin(cost))])
+    found = replace(noise, exponent=exponent, scale=scale, ramp_error=ramp_error, switch_error=switch_error)
+    return replace(found, weight=_weights(e, 1.0 + ramp_error * ramp + switch_error * switch))
 
 
 def _weights(e: Array, variance: Array) -> Array:

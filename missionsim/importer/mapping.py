@@ -271,21 +271,7 @@ def _finish(
     run["time_s"] = time = close_jumps(time, remarks)
     lines = mapper.raw.lines
     if mapper.spec.refresh:
-        start, stop, row = transform.refresh_times([source[name] for name in mapper.spec.refresh], time)
-        held = {name: row for name in run if name != "time_s" and mapper.is_held(name)}
-        if not len(start):
-            told = f"{' and '.join(mapper.spec.refresh)} never changes, so there is no refresh"
-            raise InputError.single(told, file=mapper.raw.file)
-        known = mapper.spec.columns
-        late = max((float(own) for name in held if name in known and (own := known[name].lag) is not None), default=0.0)
-        run = transform.average_windows(run, time, start - late, stop - late, held)
-        run["time_s"] = np.asarray(run["time_s"]) - (start[0] - late)
-        usual = float(np.median(stop - start))
-        count, names = len(run["time_s"]), ", ".join(mapper.spec.refresh)
-        told = f"{len(time)} rows, {count} refreshes of {names} (every {usual:.3g} s)"
-        action = "one row for each refresh, the rest averaged over the time before it"
-        action += f", {late:g} s earlier (lag)" if late else ""
-        remarks.append(Remark("repeated", "", told, action, "note", 0, len(time) - count))
+        run = _one_row_a_refresh(mapper, run, source, remarks)
         number, lines = np.empty(0, dtype=np.int64), lambda _row: 0
     else:
         for key, column in mapper.spec.columns.items():
@@ -301,6 +287,28 @@ def _finish(
         number, lines = np.empty(0, dtype=np.int64), lambda _row: 0
     table = RawTable(mapper.raw.file, run, lambda row: lines(int(number[row])) if len(number) else 0, remarks)
     return make_log(table, name)
+
+
+def _one_row_a_refresh(
+    mapper: Mapper, run: dict[str, ColumnData], source: dict[str, ColumnData], remarks: list[Remark]
+) -> dict[str, ColumnData]:
+    time = np.asarray(run["time_s"])
+    start, stop, row = transform.refresh_times([source[name] for name in mapper.spec.refresh], time)
+    held = {name: row for name in run if name != "time_s" and mapper.is_held(name)}
+    if not len(start):
+        told = f"{' and '.join(mapper.spec.refresh)} never changes, so there is no refresh"
+        raise InputError.single(told, file=mapper.raw.file)
+    columns = mapper.spec.columns
+    late = max((float(lag) for name in held if name in columns and (lag := columns[name].lag) is not None), default=0.0)
+    short = transform.average_windows(run, time, start - late, stop - late, held)
+    short["time_s"] = np.asarray(short["time_s"]) - (start[0] - late)
+    usual = float(np.median(stop - start))
+    count, names = len(short["time_s"]), ", ".join(mapper.spec.refresh)
+    told = f"{len(time)} rows, {count} refreshes of {names} (every {usual:.3g} s)"
+    action = "one row for each refresh, the rest averaged over the time before it"
+    action += f", {late:g} s earlier (lag)" if late else ""
+    remarks.append(Remark("repeated", "", told, action, "note", 0, len(time) - count))
+    return short
 
 
 _HASHED_BYTES = 100_000_000

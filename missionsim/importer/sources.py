@@ -218,44 +218,10 @@ def _joined(source: Source, spec: MapSpec) -> RawTable:
     named = [signal.field.strip().partition(".") for signal in spec.signals.values()]
     for alias, file in spec.files.items():
         own = {column for start, _, column in named if start == alias}
-        parts, clocks[alias], own_remarks = _parts(source.files[alias], alias, file, own, spec)
+        parts, clocks[alias], told = _parts(source.files[alias], alias, file, own, spec)
         topics += parts
-        remarks += [
-            Remark(r.kind, r.column, f"{alias}: {r.message}", r.action, r.severity, r.line) for r in own_remarks
-        ]
-    # bring the files of a run to one clock, and see that they overlap
-    kinds = set(clocks.values())
-    if kinds & {"utc", "local"} and "day" in kinds:
-        kind = {topic.name: clocks[topic.name.partition(".")[0]] for topic in topics}
-        dated = [topic.time_s.min() for topic in topics if kind[topic.name] in ("utc", "local")]
-        for topic in topics:
-            if kind[topic.name] == "day":
-                topic.time_s = topic.time_s + np.floor(min(dated) / _DAY_S) * _DAY_S
-        kinds.discard("day")
-        remarks.append(Remark("clock", "", "a file has times of day only", "the day is that of the other file", "note"))
-    spans = {one.name: (float(one.time_s.min()), float(one.time_s.max())) for one in topics if len(one.time_s)}
-    words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
-    told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
-    if "own" in kinds and len(kinds) > 1:
-        allowed = "times of day or dates in all of them, or seconds from one start in all"
-        raise InputError.single("these files have no clock in common", file=str(source.path), got=told, allowed=allowed)
-    if kinds == {"own"} and len(clocks) > 1:
-        action = "taken as counted from one start"
-        remarks.append(Remark("clock", "", "the files have no clock but seconds of their own", action, "warning"))
-    begin, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
-    if begin >= end:
-        late = max(spans, key=lambda name: spans[name][0])
-        apart = begin - end
-        zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else ""
-        message = f"the files do not overlap: {late} begins {apart:.6g} s after another one ends"
-        raise InputError.single(message, file=str(source.path), got=told, allowed="files of one run", hint=zone)
-    if {"utc", "local"} <= kinds:
-        action = "taken as UTC, as they overlap so; zone: says otherwise"
-        remarks.append(Remark("clock", "", f"local times without a zone beside UTC ({told})", action, "warning"))
-    for name, (first, last) in spans.items():
-        if (outside := max(0.0, begin - first) + max(0.0, last - end)) > 1.0:
-            message = f"{outside:.4g} s of {name} lie outside the other files"
-            remarks.append(Remark("gap", "", message, "these were left out", "note"))
+        remarks += [Remark(r.kind, r.column, f"{alias}: {r.message}", r.action, r.severity, r.line) for r in told]
+    _one_clock(topics, clocks, source, remarks)
     raw = _merged(topics, spec, source.path, None)
     raw.remarks[:0] = remarks
     return raw
@@ -301,6 +267,42 @@ def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str |
         return read_stamps(parts, " and ".join(names), zone, bool(raw.local & set(names)))
     except (TimeError, UnitError) as error:
         raise InputError(Fault(raw.file, raw.line(0), 0, str(error), names[0])) from None
+
+
+def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, remarks: list[Remark]) -> None:
+    """Bring the files of a run to one clock, and see that they overlap."""
+    kinds = set(clocks.values())
+    if kinds & {"utc", "local"} and "day" in kinds:
+        kind = {topic.name: clocks[topic.name.partition(".")[0]] for topic in topics}
+        dated = [topic.time_s.min() for topic in topics if kind[topic.name] in ("utc", "local")]
+        for topic in topics:
+            if kind[topic.name] == "day":
+                topic.time_s = topic.time_s + np.floor(min(dated) / _DAY_S) * _DAY_S
+        kinds.discard("day")
+        remarks.append(Remark("clock", "", "a file has times of day only", "the day is that of the other file", "note"))
+    spans = {one.name: (float(one.time_s.min()), float(one.time_s.max())) for one in topics if len(one.time_s)}
+    words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
+    told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
+    if "own" in kinds and len(kinds) > 1:
+        allowed = "times of day or dates in all of them, or seconds from one start in all"
+        raise InputError.single("these files have no clock in common", file=str(source.path), got=told, allowed=allowed)
+    if kinds == {"own"} and len(clocks) > 1:
+        action = "taken as counted from one start"
+        remarks.append(Remark("clock", "", "the files have no clock but seconds of their own", action, "warning"))
+    begin, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
+    if begin >= end:
+        late = max(spans, key=lambda name: spans[name][0])
+        apart = begin - end
+        zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else ""
+        message = f"the files do not overlap: {late} begins {apart:.6g} s after another one ends"
+        raise InputError.single(message, file=str(source.path), got=told, allowed="files of one run", hint=zone)
+    if {"utc", "local"} <= kinds:
+        action = "taken as UTC, as they overlap so; zone: says otherwise"
+        remarks.append(Remark("clock", "", f"local times without a zone beside UTC ({told})", action, "warning"))
+    for name, (first, last) in spans.items():
+        if (outside := max(0.0, begin - first) + max(0.0, last - end)) > 1.0:
+            message = f"{outside:.4g} s of {name} lie outside the other files"
+            remarks.append(Remark("gap", "", message, "these were left out", "note"))
 
 
 def identifier(name: str) -> str:

@@ -1,5 +1,4 @@
-"""The factors that some logs allow, as formulas: powers, sides, thresholds, gates, memories; and laws
-with a level of their own for each text of a label, such as a scrub that every floor has another of.
+"""The factors that some logs allow, as formulas: powers, sides, thresholds, gates, memories, levels.
 
 Thresholds, time constants and reference values are read off the logs (quantiles of what was driven), so they say where
 the logs lie, not what is true. What a factor is worth in a run is its formula evaluated there.
@@ -7,7 +6,6 @@ the logs lie, not what is true. What a factor is worth in a run is its formula e
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cache, lru_cache, partial
@@ -19,9 +17,7 @@ from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import REMEMBERED, compile_expression
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
-from missionsim.laws.gates import LEAST_BETTER, left_out
 from missionsim.laws.grammar import Factor, Grammar
-from missionsim.laws.search import Fitted, Search, Searched
 from missionsim.physics import Array
 from missionsim.physics.lag import lagged
 from missionsim.runs.covariates import COVARIATES, may_be_cause
@@ -292,79 +288,3 @@ def _switched(b: _Builder, name: str, clocks: bool) -> None:
     for tau in WARM_S:
         warming = f"{name} * (1 - exp(-{clock} / {tau:g}))"
         b.add(name, warming, f"[{part} on]·(1 − exp(−t_on/{tau:g} s))", 2)
-
-
-LEAST_LEVEL = 0.05
-"""Less than this part of the highest level is none."""
-TRIED = 5
-"""Quantities, best by least squares, whose levels are tried beside those of the best law."""
-
-
-def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
-    """A law with a level of its own for each text of a label, where runs that are left out are predicted clearly better
-    with the levels that the others give.
-
-    Where the base is far from right it need not be the best law of one level: what floors differ by hardly shows in
-    what they have in common.
-    """
-    factors = search.grammar.factors
-    labels = dict.fromkeys(f.variable for f in factors if is_text(search.ground.covariates[0].get(f.variable)))
-    for name in labels:
-        rest = tuple(i for i in fitted.form if factors[i].variable != name)
-        levels = [i for i, factor in enumerate(factors) if factor.variable == name]
-        forms = [rest] if rest else []
-        if search.ground.model.squares is not None and not search.memory:
-            forms += [form for form in _differing(search, levels) if form != rest]
-        found = [_with_levels(search, fitted, form, levels) for form in forms if len(form) < len(search.by_size)]
-        error, parts, form = min(
-            (one for one in found if one is not None), key=lambda one: one[0], default=(math.inf, {}, ())
-        )
-        if error > LEAST_BETTER * fitted.errors.with_law:
-            continue
-        wider = Search(search.ground, search.grammar.with_levels(name, parts), search.memory)
-        form = (*form, len(factors))
-        law = wider.fit(form, fitted.model.noise)
-        return wider, Searched(law, tuple(wider.near(law, wider.sized([form]))))
-    return None
-
-
-def _with_levels(
-    search: Search, fitted: Fitted, form: tuple[int, ...], levels: Sequence[int]
-) -> tuple[float, dict[int, float], tuple[int, ...]] | None:
-    """Error of left-out runs under the levels that the others give [W], and each level's part of the highest, by the
-    number of the factor that is 1 there; with the form."""
-    ground = search.ground
-    rows = search.columns([(*form, i) for i in levels])
-    seen = np.any(rows, axis=1)  # not every floor is turned on
-    levels, rows = [i for i, there in zip(levels, seen, strict=True) if there], rows[seen]
-    if len(levels) < 2:
-        return None
-    design = ground.extended(rows)
-    model = ground.at_noise(design, fitted.model.noise)
-    shares = model.gram.coefficients(model.chosen)[0]
-    every = range(len(ground.chosen), len(design.phi))
-    size = {i: float(shares[k]) * design.layout.unit(k) for i, k in zip(levels, every, strict=True)}
-    most = max(size.values())
-    parts = {i: own / most if own > max(LEAST_LEVEL * most, 0.0) else 0.0 for i, own in size.items()}
-    several = np.count_nonzero([*parts.values()]) > 1
-    return (left_out(model, len(levels)).with_law, parts, form) if several else None
-
-
-def _differing(search: Search, levels: Sequence[int]) -> list[tuple[int, ...]]:
-    """Quantities whose levels explain most, by least squares."""
-    design, factors = search.ground.design, search.grammar.factors
-    root = np.sqrt(design.duration_s)
-    known = np.vstack([design.gradient, design.phi[list(search.ground.chosen)]]) * root
-    basis = np.linalg.svd(known.T, full_matrices=False)[0]
-
-    def beside(rows: Array) -> Array:
-        return np.asarray(rows - (rows @ basis) @ basis.T)
-
-    left = beside(design.residual * root)
-    gains: dict[tuple[int, ...], float] = {}
-    for i, factor in enumerate(factors):
-        if factor.fine or is_text(search.ground.covariates[0].get(factor.variable)):
-            continue
-        rows = beside(search.rows[i] * search.rows[levels] * root)
-        gains[(i,)] = float(np.sum((np.linalg.lstsq(rows.T, left, rcond=1e-9)[0] @ rows) ** 2))
-    return sorted(gains, key=lambda form: -gains[form])[:TRIED]

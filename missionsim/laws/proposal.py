@@ -18,9 +18,10 @@ from missionsim.identify.noise import mean_variance
 from missionsim.identify.proposed import CLOCKS, FAR_BETTER, Curve, Law, Proposal, plain, state
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
-from missionsim.laws.factors import by_levels, evaluate, make_grammar
+from missionsim.laws.factors import evaluate, make_grammar
 from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
+from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
 from missionsim.numerals import watts
 from missionsim.physics import Array

@@ -100,27 +100,7 @@ def order_time(rows: Rows) -> None:
         rows.remark("time_backwards", "time_s", told, action, "error", at, count)
         rows.take(np.argsort(rows.time, kind="stable"))
     if (np.diff(rows.time) == 0).any():
-        first = np.r_[True, np.diff(rows.time) > 0]
-        starts = np.flatnonzero(first)
-        group = np.cumsum(first) - 1
-        same = True
-        merged: dict[str, ColumnData] = {}
-        for name, data in rows.columns.items():
-            if isinstance(data, Labels):
-                same = same and bool((data.codes == data.codes[starts][group]).all())
-                merged[name] = data[starts]
-                continue
-            known = np.isfinite(data)
-            number = np.add.reduceat(known.astype(float), starts)
-            total = np.add.reduceat(np.where(known, data, 0.0), starts)
-            same = same and bool(np.all((data == data[starts][group]) | ~known))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                mean = total / number
-            merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
-        told = f"{int((~first).sum())} rows repeat the time of the row before" + ("" if same else ", with other values")
-        action = "one row was kept for each time" + ("" if same else ", with the mean of the values")
-        rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", ~first)
-        rows.columns, rows.row = merged, rows.row[starts]
+        _merge_duplicates(rows)
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, "all rows have the same time", path="time_s", allowed="at least two times"))
     step = np.diff(rows.time)
@@ -133,6 +113,30 @@ def order_time(rows: Rows) -> None:
         told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
         action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
         rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
+
+
+def _merge_duplicates(rows: Rows) -> None:
+    first = np.r_[True, np.diff(rows.time) > 0]
+    starts = np.flatnonzero(first)
+    group = np.cumsum(first) - 1
+    same = True
+    merged: dict[str, ColumnData] = {}
+    for name, data in rows.columns.items():
+        if isinstance(data, Labels):
+            same = same and bool((data.codes == data.codes[starts][group]).all())
+            merged[name] = data[starts]
+            continue
+        known = np.isfinite(data)
+        number = np.add.reduceat(known.astype(float), starts)
+        total = np.add.reduceat(np.where(known, data, 0.0), starts)
+        same = same and bool(np.all((data == data[starts][group]) | ~known))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = total / number
+        merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
+    told = f"{int((~first).sum())} rows repeat the time of the row before" + ("" if same else ", with other values")
+    action = "one row was kept for each time" + ("" if same else ", with the mean of the values")
+    rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", ~first)
+    rows.columns, rows.row = merged, rows.row[starts]
 
 
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:

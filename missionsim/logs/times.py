@@ -169,19 +169,7 @@ class TimeAxis:
         except TimeError as error:
             raise InputError(Fault(raw.file, raw.line(0), 0, str(error), "time_s")) from None
         known = found.seconds[np.isfinite(found.seconds)]
-        # single times that no clock shows are refused before a jump is told between them and the others
-        most = max(_ABSURD_S, 1000.0 * float(np.median(np.abs(known)))) if len(known) else 0.0
-        absurd = np.flatnonzero(np.isfinite(found.seconds) & (np.abs(found.seconds) > most))
-        if len(absurd):
-            usual = known[np.abs(known) <= most]
-            allowed = f"as in the other rows, {usual.min():.6g} to {usual.max():.6g} s"
-            told = "a time that no clock shows"
-            raise InputError(
-                [
-                    Fault(raw.file, raw.line(int(i)), 0, told, "time_s", f"{found.seconds[i]:g} s", allowed)
-                    for i in absurd[:20]
-                ]
-            )
+        self._refuse_absurd(raw, found.seconds, known)
         if found.kind != "own" and len(known):
             if found.kind == "day" and known[0] + self.days < self.last - 0.5 * _DAY_S:
                 self.days += _DAY_S
@@ -203,6 +191,22 @@ class TimeAxis:
             self.end = float(closed[-1])
             seconds[finite] = closed
         raw.columns["time_s"] = seconds
+
+    @staticmethod
+    def _refuse_absurd(raw: RawTable, seconds: Array, known: Array) -> None:
+        """Refuse single times that no clock shows, before a jump or a restart is told between them and the others."""
+        most = max(_ABSURD_S, 1000.0 * float(np.median(np.abs(known)))) if len(known) else 0.0
+        absurd = np.flatnonzero(np.isfinite(seconds) & (np.abs(seconds) > most))
+        if len(absurd):
+            usual = known[np.abs(known) <= most]
+            allowed = f"as in the other rows, {usual.min():.6g} to {usual.max():.6g} s"
+            told = "a time that no clock shows"
+            raise InputError(
+                [
+                    Fault(raw.file, raw.line(int(i)), 0, told, "time_s", f"{seconds[i]:g} s", allowed)
+                    for i in absurd[:20]
+                ]
+            )
 
 
 def epoch_of(values: Array) -> tuple[float, str] | None:
@@ -244,24 +248,7 @@ def _texts(labels: Labels) -> Stamps:
         plain = plain.str.replace(r"^(\d{4})\.(\d{2})\.(\d{2})", r"\1-\2-\3", regex=True)
         values = _seconds(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
     elif _DATED.match(sample):
-        # day first or month first: the one that every date fits, and then the one that spans less time
-        series = texts.str.replace(r"[-/.](?=.*\d{4})", "/", regex=True).str.replace(",", ".")
-        series = series.str.replace(r"(\d{4})\.?[T ]+", r"\1 ", regex=True)
-        kind = "local" if ":" in str(series.iloc[0]) else "date"
-        mark = "%I" if series.str.contains("[AP]M", case=False, regex=True).any() else "%H"
-        fractions, seconds = bool(series.str.contains(".", regex=False).any()), bool(series.str.count(":").max() > 1)
-        tail = f" {mark}:%M" + ":%S" * seconds + ".%f" * fractions + " %p" * (mark == "%I") if kind == "local" else ""
-        if fractions:
-            series = series.where(series.str.contains(".", regex=False), series + ".0")
-        readings = []
-        for form, words in (("%d/%m/%Y", "day first"), ("%m/%d/%Y", "month first")):
-            values = _seconds(pd.to_datetime(series, format=form + tail, errors="coerce"))
-            known = values[np.isfinite(values)]
-            readings.append(
-                (float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values)
-            )
-        _, _, words, values = min(readings, key=lambda reading: reading[:2])
-        form = f"a date, {words}" + (", and time" if kind == "local" else "")
+        kind, form, values = _dated(texts)
     else:
         raise TimeError(f"'{sample[:40]}' is {NO_TIME}")
     if len(values) and np.isnan(values).mean() > 0.05:
@@ -277,6 +264,27 @@ def _seconds(times: object) -> Array:
     series = pd.Series(times)
     whole = series.to_numpy(dtype="datetime64[ns]").astype("int64").astype(np.float64) * 1e-9
     return np.where(series.isna().to_numpy(), np.nan, whole)
+
+
+def _dated(texts: object) -> tuple[str, str, Array]:
+    """Day first or month first: the one that every date fits, and then the one that spans less time."""
+    import pandas as pd
+
+    series = pd.Series(texts).str.replace(r"[-/.](?=.*\d{4})", "/", regex=True).str.replace(",", ".")
+    series = series.str.replace(r"(\d{4})\.?[T ]+", r"\1 ", regex=True)
+    kind = "local" if ":" in str(series.iloc[0]) else "date"
+    mark = "%I" if series.str.contains("[AP]M", case=False, regex=True).any() else "%H"
+    fractions, seconds = bool(series.str.contains(".", regex=False).any()), bool(series.str.count(":").max() > 1)
+    tail = f" {mark}:%M" + ":%S" * seconds + ".%f" * fractions + " %p" * (mark == "%I") if kind == "local" else ""
+    if fractions:
+        series = series.where(series.str.contains(".", regex=False), series + ".0")
+    readings = []
+    for form, words in (("%d/%m/%Y", "day first"), ("%m/%d/%Y", "month first")):
+        values = _seconds(pd.to_datetime(series, format=form + tail, errors="coerce"))
+        known = values[np.isfinite(values)]
+        readings.append((float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values))
+    _, _, words, values = min(readings, key=lambda reading: reading[:2])
+    return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values
 
 
 def _clock_changes(values: Array, name: str, remarks: list[Remark]) -> Array:

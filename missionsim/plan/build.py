@@ -177,33 +177,36 @@ class _Builder(Asked):
             _, legs, self.place, self.heading, more = self._made[where]
             self._routes += more
         else:
-            # the legs of a segment, those from the builder's number `before` on
-            base = self.settings(segment)
-            self.scheme = base.scheme
-            getattr(self, f"_{segment.kind}")(segment, base)
-            if len(self.legs) == before:
-                self.legs.append(Leg("stand", base))
-            if segment.kind in ("drive", "arc", "turn", "move"):
-                dwell = self.behaviour(segment, "dwell")
-                if self.rng is not None and (spacing := self.given(segment, "obstacle_spacing")) is not None:
-                    stop = self.behaviour(segment, "obstacle_stop")
-                    with self.told_at(*spacing):
-                        made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
-                    self.legs[before:] = made
-                    self.chance["obstacles"] += stops
-                if self.rng is not None and (failure := self.given(segment, "relocalisation_failure")) is not None:
-                    with self.told_at(*failure):
-                        failed = failures(self.number(*failure), self.rng)
-                    self.chance["relocalisations_failed"] += failed
-                    dwell = dwell + failed * self.behaviour(segment, "relocalisation_time")
-                if self.odd.most(dwell != 0.0):
-                    self.legs.append(Leg("stand", self.legs[-1].settings, duration_s=dwell))
-            self.legs[before] = self.legs[before]._replace(first=True)
-            self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
-            legs = self.legs[before:]
+            legs = self._legs(segment, before)
             if where is not None:  # with the segment, so that its id stays its own
                 self._made[where] = segment, legs, self.place, self.heading, self._routes[routes:]
         self.legs[before:] = [leg._replace(segment=index) for leg in legs]
+
+    def _legs(self, segment: SegmentSpec, before: int) -> list[Leg]:
+        """The legs of a segment, those from the builder's number `before` on."""
+        base = self.settings(segment)
+        self.scheme = base.scheme
+        getattr(self, f"_{segment.kind}")(segment, base)
+        if len(self.legs) == before:
+            self.legs.append(Leg("stand", base))
+        if segment.kind in ("drive", "arc", "turn", "move"):
+            dwell = self.behaviour(segment, "dwell")
+            if self.rng is not None and (spacing := self.given(segment, "obstacle_spacing")) is not None:
+                stop = self.behaviour(segment, "obstacle_stop")
+                with self.told_at(*spacing):
+                    made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
+                self.legs[before:] = made
+                self.chance["obstacles"] += stops
+            if self.rng is not None and (failure := self.given(segment, "relocalisation_failure")) is not None:
+                with self.told_at(*failure):
+                    failed = failures(self.number(*failure), self.rng)
+                self.chance["relocalisations_failed"] += failed
+                dwell = dwell + failed * self.behaviour(segment, "relocalisation_time")
+            if self.odd.most(dwell != 0.0):
+                self.legs.append(Leg("stand", self.legs[-1].settings, duration_s=dwell))
+        self.legs[before] = self.legs[before]._replace(first=True)
+        self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
+        return self.legs[before:]
 
     def _until(self, segment: RepeatSegment, time: Parameter) -> None:
         """Rounds as many as could end by a time if there were nothing but what is planned of them."""

@@ -113,8 +113,28 @@ def group(
             continue
         spans.append((begin, i))
         begin = i
-    # profiles of the spans that move, by their first leg. Spans with the same number of pieces are computed in
-    # one call, since a call costs as much for one as for many
+    profiles = _profiles(legs, spans, limits)
+    steps: list[Step] = []
+    for low, high in spans:
+        made: list[Phase] = []
+        for i, rows in zip(range(low, high), profiles.get(low, itertools.repeat(())), strict=False):
+            before = len(made)
+            for duration, speed, rate in rows:
+                if duration > SHORTEST_PHASE_S if isinstance(duration, float) else np.any(duration > SHORTEST_PHASE_S):
+                    made.append(_phase(legs[i], i, duration, speed, rate))
+            if len(made) == before:  # at least one for each leg
+                made.append(Phase(0.0 if low in profiles else legs[i].duration_s, i))
+        steps.append(Step(legs[low].kind, tuple(made)))
+    return tuple(steps)
+
+
+Profile = list[list[tuple[float, float, float]]]
+"""Of each leg of a span: duration, speed at the start and acceleration of its phases."""
+
+
+def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Limits) -> dict[int, Profile]:
+    """Profiles of the spans that move, by their first leg. Spans with the same number of pieces are computed in one
+    call, since a call costs as much for one as for many."""
     batches: dict[int, list[tuple[int, int]]] = {}
     found: dict[int, Profile] = {}
     for low, high in spans:
@@ -129,30 +149,15 @@ def group(
         driven = [list(zip(*map(_driven, legs[low:high]), strict=True)) for low, high in members]
         sizes, tops = zip(*driven, strict=True)
         distance, limit, rates = _stacked(sizes, tops, [_rates(legs[low], limits) or () for low, _ in members])
-        ramps = ramp_phases(distance, limit, rates[..., 0], rates[..., 1])
-        parts = [ramps.duration_s, ramps.speed_m_s, ramps.accel_m_s2]
-        if ramps.duration_s.ndim == 3:
+        made = ramp_phases(distance, limit, rates[..., 0], rates[..., 1])
+        parts = [made.duration_s, made.speed_m_s, made.accel_m_s2]
+        if made.duration_s.ndim == 3:
             tables: Any = zip(*(part.tolist() for part in parts), strict=True)
         else:  # runs last, so that each number becomes an array of runs
             tables = zip(*(np.ascontiguousarray(np.moveaxis(part, 1, -1)) for part in parts), strict=True)
         for (low, _), table in zip(members, tables, strict=True):
             found[low] = [list(zip(*rows, strict=True)) for rows in zip(*table, strict=True)]
-    steps: list[Step] = []
-    for low, high in spans:
-        made: list[Phase] = []
-        for i, rows in zip(range(low, high), found.get(low, itertools.repeat(())), strict=False):
-            before = len(made)
-            for duration, speed, rate in rows:
-                if duration > SHORTEST_PHASE_S if isinstance(duration, float) else np.any(duration > SHORTEST_PHASE_S):
-                    made.append(_phase(legs[i], i, duration, speed, rate))
-            if len(made) == before:  # at least one for each leg
-                made.append(Phase(0.0 if low in found else legs[i].duration_s, i))
-        steps.append(Step(legs[low].kind, tuple(made)))
-    return tuple(steps)
-
-
-Profile = list[list[tuple[float, float, float]]]
-"""Of each leg of a span: duration, speed at the start and acceleration of its phases."""
+    return found
 
 
 def _stacked(*tables: Sequence[Sequence[float]]) -> list[Array]:

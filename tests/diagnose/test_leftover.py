@@ -10,7 +10,7 @@ import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.execution import fed_note, standing_out, straight_note
+from missionsim.diagnose.leftover import fed_note, standing_out, straight_note
 from missionsim.diagnose.split import Split, beyond
 from missionsim.identify.findings import Judged, Structure
 from missionsim.identify.settings import Settings

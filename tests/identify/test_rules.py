@@ -246,14 +246,14 @@ def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
 
 def test_gates_are_asked_again_after_the_shape_was_refitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A refit that ends at a shape which hardly acts must not leave its effect in the model."""
-    from missionsim.identify import stepwise
+    from missionsim.identify import profile
 
     runs = make_runs(12, {"cold": 6.0}, count=8)
 
     def refit(shape: dict[str, float]) -> list[np.ndarray]:
         return [1e-6 * run.columns["rolling_friction"] + 1e-3 * run.columns["turning_scrub"] for run in runs]
 
-    monkeypatch.setattr(stepwise, "SHAPE_EVALUATIONS", 1)
+    monkeypatch.setattr(profile, "SHAPE_EVALUATIONS", 1)
     candidates = [replace(c, refit=refit) if c.effect == "cold_friction" else c for c in library()]
     found = identify(runs, candidates, {})
     assert "cold_friction" not in [e.effect for e in found.effects]

@@ -14,7 +14,8 @@ from missionsim.identify.findings import BatteryDiagnosis
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.laws.adapter import ground_of
-from missionsim.laws.factors import by_levels, make_grammar
+from missionsim.laws.factors import make_grammar
+from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Search
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drawing, drive

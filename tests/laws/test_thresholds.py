@@ -13,7 +13,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.gram import Gram
 from missionsim.identify.proposed import Curve, Law
 from missionsim.labels import Labels
-from missionsim.laws import adapter, factors, gates, proposal, search
+from missionsim.laws import adapter, factors, gates, levels, proposal, search
 from missionsim.laws.gates import Gates
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
@@ -187,14 +187,14 @@ def test_a_column_that_is_the_measured_power_is_no_cause(r: float, own: set[str]
 
 @pytest.mark.parametrize(("least", "part"), [(0.045, 0.0), (0.055, 0.055), (-0.2, 0.0)])
 def test_a_level_far_below_the_highest_is_none(monkeypatch: pytest.MonkeyPatch, least: float, part: float) -> None:
-    monkeypatch.setattr(factors, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
+    monkeypatch.setattr(levels, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
     design = SimpleNamespace(phi=np.eye(3), layout=SimpleNamespace(unit=lambda _: 10.0))
     gram = SimpleNamespace(coefficients=lambda _: (np.array([0.2, 0.1, 0.2 * least]), None))
     ground = SimpleNamespace(chosen=(), extended=lambda _: design)
     ground.at_noise = lambda *_: SimpleNamespace(gram=gram, chosen=())
     own = SimpleNamespace(ground=ground, columns=lambda _: np.eye(3))
     fitted = SimpleNamespace(model=SimpleNamespace(noise=None))
-    _, parts, _ = factors._with_levels(own, fitted, (), range(3))
+    _, parts, _ = levels._with_levels(own, fitted, (), range(3))
     assert parts == pytest.approx({0: 1.0, 1: 0.5, 2: part})
 
 
@@ -206,7 +206,7 @@ def test_five_quantities_have_levels_tried() -> None:
     ground = SimpleNamespace(design=design, chosen=(), covariates=[{}])
     own = [SimpleNamespace(variable=f"q{i}", fine=False) for i in range(7)]
     search = SimpleNamespace(ground=ground, grammar=SimpleNamespace(factors=own), rows=rows)
-    tried = factors._differing(search, [7, 8])
+    tried = levels._differing(search, [7, 8])
     assert len(tried) == 5
     assert tried[0] == (3,)
 

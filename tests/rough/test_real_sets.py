@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from missionsim.diagnose.sentences import sure
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.diagnose.words import headline
 from missionsim.fit.calibrate import NewRobot, calibrate_new
+from missionsim.identify.findings import BatteryDiagnosis
 from missionsim.identify.settings import Settings
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map, robot_from_text
@@ -156,16 +158,21 @@ def test_turning_at_speed_beside_inertia_is_not_called_scrub(tmp_path: Path) -> 
     assert set(law.certain) == {"speed_m_s", "yaw_rate_rad_s"}
 
 
+def few_of_a_husky(folder: Path, seed: int, hidden: Sequence[str], runs: int) -> BatteryDiagnosis:
+    """Some of a Husky's drives with hidden terms, and what is said of them."""
+    drives, _ = make("husky", seed, hidden)
+    order = np.random.default_rng(seed).permutation(len(drives))[:runs]
+    write([drives[i] for i in order], folder / "train")
+    logs = read_logs([folder / "train"])
+    made = calibrate_new(NewRobot("own", BASE, mass="50 kg", drive="skid_steer"), logs)
+    return diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+
+
 @pytest.mark.usefixtures("shared")
 def test_what_few_runs_differ_by_may_be_all_that_is_constant_in_them(tmp_path: Path) -> None:
     """Payload and cold over eight drives of a Husky, of which three hardly move: how long they had moved was called the
     cause, and both were excluded."""
-    drives, _ = make("husky", 1, ("payload", "cold"))
-    order = np.random.default_rng(1).permutation(len(drives))[:8]
-    write([drives[i] for i in order], tmp_path / "train")
-    logs = read_logs([tmp_path / "train"])
-    made = calibrate_new(NewRobot("own", BASE, mass="50 kg", drive="skid_steer"), logs)
-    found = diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+    found = few_of_a_husky(tmp_path, 1, ("payload", "cold"), 8)
     assert not found.effects
     assert not found.proposed_laws
     assert "it may be payload or temperature_friction" in found.unexplained.shape
@@ -177,11 +184,6 @@ def test_what_few_runs_differ_by_may_be_all_that_is_constant_in_them(tmp_path: P
 @pytest.mark.usefixtures("shared")
 def test_a_drift_that_may_stand_behind_floor_and_cold_may_stand_behind_a_law_of_both(tmp_path: Path) -> None:
     """Neither was named, and their product was: the energy of further runs went from 18 to 55 % off."""
-    drives, _ = make("husky", 41, ("floor", "cold"))
-    order = np.random.default_rng(41).permutation(len(drives))[:12]
-    write([drives[i] for i in order], tmp_path / "train")
-    logs = read_logs([tmp_path / "train"])
-    made = calibrate_new(NewRobot("own", BASE, mass="50 kg", drive="skid_steer"), logs)
-    found = diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+    found = few_of_a_husky(tmp_path, 41, ("floor", "cold"), 12)
     assert "either temperature_friction, or a steady drift" in found.unexplained.shape
     assert not [law for law in found.proposed_laws if {*law.certain} <= {"temp_ambient_c", "surface"}]

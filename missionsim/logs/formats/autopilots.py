@@ -48,15 +48,7 @@ def read_ulog(path: Path, options: Options) -> Recording:
         }
         topics[name] = Topic(name, np.asarray(stamps, dtype=np.float64) * 1e-6, columns, data.name, len(stamps))
     remarks = []
-    # bytes up to which the messages of a file follow each other without a break, and all its bytes
-    size = path.stat().st_size
-    with open(path, "rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        whole = _HEADER_BYTES
-        while whole + 3 <= size:
-            length = data[whole] | data[whole + 1] << 8
-            if data[whole + 2] not in _KINDS or whole + 3 + length > size:
-                break
-            whole += 3 + length
+    whole, size = _whole_bytes(path)
     if whole != size:
         share = 100.0 * (size - whole) / size
         told = f"from byte {whole:,} of {size:,} on ({share:.2g} % of the file) its messages are cut or broken"
@@ -68,6 +60,19 @@ def read_ulog(path: Path, options: Options) -> Recording:
         message = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s together"
         remarks.append(Remark("gap", "", message, "the values before were held", "warning", 0, len(log.dropouts)))
     return Recording(list(topics.values()), remarks)
+
+
+def _whole_bytes(path: Path) -> tuple[int, int]:
+    """Bytes up to which the messages of a file follow each other without a break, and all its bytes."""
+    size = path.stat().st_size
+    with open(path, "rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        at = _HEADER_BYTES
+        while at + 3 <= size:
+            length = data[at] | data[at + 1] << 8
+            if data[at + 2] not in _KINDS or at + 3 + length > size:
+                break
+            at += 3 + length
+    return at, size
 
 
 _ENDLESS = re.compile(rb"\xa3\x95\x80.[\x00-\x02]", re.DOTALL)
