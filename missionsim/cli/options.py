@@ -120,10 +120,17 @@ class Changes:
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Paths and values of ``--set``."""
-        from missionsim.inputs.overrides import split_assignment
+        """Paths and values of ``--set``. Raises InputError: not an assignment, or a path that is given twice."""
+        from missionsim.inputs.overrides import route, split_assignment
 
-        return tuple(split_assignment(text) for text in self.set_ or ())
+        pairs = tuple(split_assignment(text) for text in self.set_ or ())
+        for given in route(pairs).values():
+            for path in dict(given):
+                values = [value for one, value in given if one == path]
+                if len(values) > 1:
+                    told, got = "set more than once; only the last would hold", " and ".join(values)
+                    raise InputError.single(told, path=path, got=got, allowed="one --set for each path")
+        return pairs
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.errors import Fault
+from missionsim.errors import Fault, did_you_mean
+from missionsim.glossary import COLUMNS, column_of
 from missionsim.inputs.checker import Checker
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter, uncertain_values
-from missionsim.inputs.power import strange_floors
+from missionsim.inputs.power import build_power_model, strange_floors
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import every_segment, flat_segments
-from missionsim.inputs.tree import Where
+from missionsim.inputs.tree import Document, Where
 
 _DECIDED = {"time_s", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s", "slope_rad", "payload_kg"}
 _DECIDED |= {"surface", "scheme", "navigation", "segment", "x_m", "y_m", "heading_rad"}
@@ -45,7 +46,8 @@ def check_mission(mission: MissionSpec) -> list[Fault]:
         check.keys(("behaviour", "schemes"), mission.behaviour.schemes, check.robot.schemes, "control scheme")
     check.chances()
     check.correlations()
-    return [*check.faults, *_unread(mission), *strange_floors(mission, flat_segments(mission.segments))]
+    unread = (*_unread(mission), *_unread_conditions(mission))
+    return [*check.faults, *unread, *strange_floors(mission, flat_segments(mission.segments))]
 
 
 class _MissionCheck(Checker):
@@ -375,3 +377,24 @@ def _unread(mission: MissionSpec) -> Iterator[Fault]:
                 advice = f"{added}, or the motion model traction"
                 yield document.fault(where, message, got=got, allowed=advice, warning=True)
                 break
+
+
+def _unread_conditions(mission: MissionSpec) -> Iterator[Fault]:
+    """Warnings for conditions that neither the robot's model nor the glossary knows, each once, at its first place."""
+    robot, environment = mission.robot, mission.environment
+    if robot is None or not (mission.whole and robot.whole and robot.sound):
+        return
+    if any(load.law is not None and load.law.model for part in robot.components.values() for load in part.loads):
+        return  # these laws read more than they need
+    sources: list[tuple[Document, Where, Any]] = [(mission.document, ("defaults",), mission.defaults)]
+    sources += [(mission.document, segment.where, segment) for segment in flat_segments(mission.segments)]
+    if environment is not None:
+        sources.append((environment.document, ("ambient",), environment.ambient))
+        sources += [(environment.document, ("edges", index), edge) for index, edge in enumerate(environment.edges)]
+    strange = {name: (document, where) for document, where, of in reversed(sources) for name in of.conditions}
+    read = build_power_model(robot).needs if strange else frozenset()
+    for name, (document, where) in strange.items():
+        if name not in read and column_of(name) is None:
+            message = f"condition '{name}' costs nothing: no term of robot '{robot.name}' reads it"
+            hint = did_you_mean(name, sorted(read) + [column.name for column in COLUMNS])
+            yield document.fault((*where, "conditions", name), message, name, "", hint, key=True, warning=True)

@@ -447,3 +447,13 @@ def test_how_long_without_how_often_is_a_fault(folder: Path) -> None:
     change("mission", "behaviour: {obstacle_stop: 8 s}", "behaviour: {obstacle_stop: 8 s, obstacle_spacing: 40 m}")
     change("robot", "go: {", "go: {behaviour: {relocalisation_failure: 10 %}, ")
     assert told("mission.yaml") == []
+
+
+def test_a_condition_that_no_term_reads_is_told_once(folder: Path) -> None:
+    add_effect("name: e, power: k * cpu_load, battery: main, parameters: {k: 1 W}")
+    first, second = (f"{{distance: 5 m, conditions: {{cpu_lod: {load}, cpu_load: 1}}}}" for load in (1, 2))
+    change("mission", "{to: B}", f"{first}\n  - drive: {second}")
+    assert told("mission.yaml") == [
+        "mission.yaml:8:41: warning: condition 'cpu_lod' costs nothing: no term of robot 'r' reads it\n"
+        "    at: segments.0.drive.conditions.cpu_lod\n    got: cpu_lod\n    did you mean: cpu_load"
+    ]

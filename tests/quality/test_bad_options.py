@@ -59,6 +59,8 @@ def told_by(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("run MISSION --set components.kinct.units=2", "did you mean: kinect"),
         ("run MISSION --set body={max_sped:\\ 1,drive:\\ differential}", "did you mean: max_speed"),
         ("run MISSION --set segments.0.speed={valu:\\ 1}", "did you mean: value"),
+        ("run MISSION --set defaults.speed=0.2 --set defaults.speed=0.3", "got: 0.2 and 0.3"),
+        ("whatif MISSION --vary defaults.speed=0.3 --set body.mass=9 --set robot.body.mass=8", "set more than once"),
         (
             "reach environments/trial_site.yaml --robot pioneer3dx --from hall --set ambient.x=1",
             "command line: error: unk",
