@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from missionsim.files import Json, fields_of, write_text
 from missionsim.identify.settings import ALPHA
-from missionsim.numerals import in_wh, rounded, watts
+from missionsim.numerals import counted, in_wh, rounded, watts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -329,7 +329,8 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
     from missionsim.exchange.formats import import_site as read
 
     site = read(Path(path), options)
-    line = f"{site.format}: {len(site.places)} places, {len(site.edges)} ways, {len(site.chargers)} chargers"
+    parts = (site.places, "place"), (site.edges, "way"), (site.chargers, "charger")
+    line = f"{site.format}: {', '.join(counted(len(given), what) for given, what in parts)}"
 
     def rows() -> list[dict[str, Any]]:
         return [{**e, "length": e.get("length") or site.straight(e["from"], e["to"])} for e in site.edges]

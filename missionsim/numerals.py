@@ -40,6 +40,16 @@ def meter_clock(delay_s: float, lag_s: float) -> str:
     return f"{beside}, lag {lag_s:.2f} s"
 
 
+def counted(count: int, thing: str) -> str:
+    """``1 row``, ``2 rows``."""
+    return f"{count} {thing}{'s' * (count != 1)}"
+
+
+def p_told(p: float, digits: int = 1, what: str = "p =") -> str:
+    """``p = 7e-21``; what is too small for a number of the machine is below the least one told, and not nought."""
+    return f"{what.removesuffix(' =')} < 1e-300" if p < 1e-300 else f"{what} {p:.{digits}g}"
+
+
 def in_wh(wh: float, *, sign: bool = False) -> str:
     """``15,343.007``: watt-hours with three decimals, which is how every energy is told."""
     if not math.isfinite(wh):

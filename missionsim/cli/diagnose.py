@@ -22,7 +22,7 @@ from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
 from missionsim.inputs.loading import load_robot
-from missionsim.numerals import bare, meter_clock, rounded, watts
+from missionsim.numerals import bare, meter_clock, p_told, rounded, watts
 from missionsim.report.terminal import console, show_table
 
 
@@ -282,7 +282,7 @@ def add_effect(
     if to.text:
         terminal = console()
         one, told = made.effect, words.parameters_told(made.effect)
-        terminal.print(f"{one.effect} on battery {chosen}: {words.share_told(one)}; {told}; p = {one.p_value:.1g}")
+        terminal.print(f"{one.effect} on battery {chosen}: {words.share_told(one)}; {told}; {p_told(one.p_value)}")
         if made.reason:
             terminal.print(f"forced: {made.reason}")
         if made.base:

@@ -19,7 +19,7 @@ from missionsim.exchange.site import SiteOptions, write_site
 from missionsim.exchange.vda5050 import order_of
 from missionsim.files import atomic_write, to_json, write_text
 from missionsim.inputs.loading import load_mission, load_robot, robot_from_text
-from missionsim.numerals import rounded
+from missionsim.numerals import counted, rounded
 from missionsim.report.terminal import console, show_table
 
 app = App(name="export", help="Write our numbers and missions into the files of other tools.")
@@ -265,12 +265,13 @@ def import_site(
     to.emit({**site.summary(), "out": out, "mission": mission})
     if to.text:
         one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
-        parts = [f"{len(site.places)} places", f"{len(site.edges)} ways ({one_way} one-way, {site.length_m:.1f} m)"]
+        ways = f"{counted(len(site.edges), 'way')} ({one_way} one-way, {site.length_m:.1f} m)"
+        parts = [counted(len(site.places), "place"), ways]
         if site.chargers:
             named = f"{', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)}"
-            parts.append(f"{len(site.chargers)} chargers ({named})")
+            parts.append(f"{counted(len(site.chargers), 'charger')} ({named})")
         if site.segments:
-            parts.append(f"a mission of {len(site.segments)} segments")
+            parts.append(f"a mission of {counted(len(site.segments), 'segment')}")
         _tell(f"{site.file}: {site.format}, {', '.join(parts)}", site.remarks.values(), out, mission)
     return 0
 

@@ -186,7 +186,8 @@ def _list(sources: Sequence[Path], to: Output) -> int:
                 more = f", … ({len(hidden)} in all)" if len(hidden) > 12 else ""
                 terminal.print(f"{why}: {names}{more}")
     if len(sources) == 1 and len(paths) > 1:
-        terminal.print(f"the first of {len(paths)} files; all: {', '.join(p.name for p in paths[:20])}")
+        more = f", … ({len(paths)} in all)" if len(paths) > 20 else ""
+        terminal.print(f"the first of {len(paths)} files; all: {', '.join(p.name for p in paths[:20])}{more}")
     return 0
 
 

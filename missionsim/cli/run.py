@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output, OutRecording
 from missionsim.errors import Fault, InputError
-from missionsim.numerals import in_wh
+from missionsim.numerals import counted, in_wh
 from missionsim.report.terminal import console, show_table, simple_table, titled
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def show(result: RunResult) -> None:
     terminal = console()
     verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
     terminal.print(titled(result.mission, f" with {result.robot}: {verdict}"))
-    driven = f"{sum(segment.kind not in ('return', 'recharge') for segment in result.segments)} segments"
+    driven = counted(sum(segment.kind not in ("return", "recharge") for segment in result.segments), "segment")
     if (cut := result.interrupted) is not None:
         ended, where = "turned back" if result.returned else "stopped", result.segments[cut.segment].name
         driven = f"{result.segments_driven} of {driven}\n"
@@ -186,6 +186,9 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
     logs: list[Path] = []
     for given in files:
         found = [given]
+        if given.suffix.lower() not in _YAML and _is_recording(given):
+            logs.append(given)  # the check of logs says how it becomes one
+            continue
         if given.is_dir():
             inside = sorted(given.rglob("*"))
             found = [p for p in inside if (p.suffix.lower() in _YAML or _is_log(p)) and p.is_file()]
@@ -213,9 +216,15 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
     if to.text:
         warnings = len(faults) - len(errors)
         numbers = ((count, "file"), (len(errors), "error"), (warnings, "warning"))
-        read, *words = (f"{number} {word}{'s' * (number != 1)}" for number, word in numbers)
+        read, *words = (counted(number, word) for number, word in numbers)
         print(f"{read}: " + (", ".join(words if warnings else words[:1]) if faults else "valid"))
     return 2 if errors else 0
+
+
+def _is_recording(path: Path) -> bool:
+    from missionsim.logs.readers import is_recording
+
+    return is_recording(path)
 
 
 def _is_log(path: Path) -> bool:

@@ -13,7 +13,7 @@ from missionsim.cli.options import AS_FILED, TERMINAL, Changes, Output, Target
 from missionsim.cli.run import clock
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.overrides import split_assignment, value_of
-from missionsim.numerals import in_wh, rounded
+from missionsim.numerals import counted, in_wh, rounded
 from missionsim.report.terminal import console, show_table, signed, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import TABLES, write_table
@@ -169,7 +169,7 @@ def show(found: WhatIf) -> None:
     """Print the alternatives beside the baseline, at most 100 columns wide."""
     terminal = console()
     rows = found.rows()
-    terminal.print(titled(found.mission, f", {len(rows) - 1} alternatives; differences are to the baseline"))
+    terminal.print(titled(found.mission, f", {counted(len(rows) - 1, 'alternative')}; differences are to the baseline"))
     columns = ["alternative", ">duration", ">± s"]
     for name in found.batteries:
         columns += [f">{name} Wh", ">± Wh", ">± %"]

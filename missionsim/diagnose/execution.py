@@ -12,6 +12,7 @@ import numpy as np
 
 from missionsim.effects.timeline import Timeline
 from missionsim.identify.findings import Estimate, Finding, Judged
+from missionsim.numerals import p_told
 from missionsim.physics import Array
 from missionsim.runs.motion import Motion, motions, planned, speed_of, still_of, stretch, told_apart, tracking
 from missionsim.runs.run import Run
@@ -98,11 +99,11 @@ def _judged(effect: str, scheme: str, values: Array, share: float, level: float)
         why = why or ("" if away else f"less than {SHORTEST_DWELL_S:g} s a run")
     found = bool(p < level and away)
     if found:
-        reason = f"differs from the plan in {count} runs, p = {p:.1g}"
+        reason = f"differs from the plan in {count} runs, {p_told(p)}"
     elif count < FEWEST_RUNS:
         reason = "one run cannot show how it scatters"
     else:
-        reason = why or f"as planned within its scatter over {count} runs (p = {p:.2g}, needed {level:.1g})"
+        reason = why or f"as planned within its scatter over {count} runs ({p_told(p, 2)}, needed {level:.1g})"
     return Finding(
         effect=effect,
         parameters={"k": Estimate(value, low, high, "1" if ratios else "s")},

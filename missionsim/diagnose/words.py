@@ -15,7 +15,7 @@ from missionsim.errors import InputError
 from missionsim.identify.findings import AT_BOUND, BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
-from missionsim.numerals import bare, meter_clock, rounded, watts
+from missionsim.numerals import bare, meter_clock, p_told, rounded, watts
 
 MOST_NOT_SEEN = 8
 INF = math.inf
@@ -181,10 +181,10 @@ def share_told(effect: Finding) -> str:
 
 def found_line(effect: Finding) -> str:
     """An effect that was found: share of energy with interval, parameters, level."""
-    runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
+    runs = f", {p_told(effect.p_runs, what='p over runs')}" if math.isfinite(effect.p_runs) else ""
     return (
         f"{effect.effect}: {share_told(effect)}; {parameters_told(effect)}; "
-        f"{effect.level}, p = {effect.p_value:.1g}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
+        f"{effect.level}, {p_told(effect.p_value)}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
     )
 
 

@@ -26,6 +26,7 @@ from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.readers import reader_of
 from missionsim.logs.times import close_jumps
+from missionsim.numerals import counted
 from missionsim.physics import Array
 from missionsim.runs.run import Run
 
@@ -262,7 +263,7 @@ def _finish(
     if len(time) > 1 and (np.diff(time) < 0).any():
         order, back = np.argsort(time, kind="stable"), np.diff(time) < 0
         count, line = int(back.sum()), mapper.raw.line(int(number[int(np.argmax(back)) + 1]))
-        told, action = f"time runs backwards in {count} places", "the rows were sorted by time"
+        told, action = f"time runs backwards in {counted(count, 'place')}", "the rows were sorted by time"
         remarks.append(Remark("time_backwards", "time_s", told, action, "warning", line, count))
         run, source = ({key: data[order] for key, data in columns.items()} for columns in (run, source))
         time, number = time[order], number[order]

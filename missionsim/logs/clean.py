@@ -11,6 +11,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.raw import Bools, ColumnData, RawTable, Remark
+from missionsim.numerals import counted
 from missionsim.physics import Array
 
 _SLOW_QUANTITIES = ("temp_ambient_c", "temp_motor_c", "payload_kg", "access_point_distance_m", "cpu_freq_hz")
@@ -78,11 +79,12 @@ def order_time(rows: Rows) -> None:
     file, even = rows.raw.file, "increasing times, one run a file"
     finite = np.isfinite(rows.time)
     if not finite.all():
-        told = f"{int((~finite).sum())} rows have no time"
+        told = f"{counted(int((~finite).sum()), 'row')} without a time"
         rows.remark("missing", "time_s", told, "they were left out", "error", ~finite)
         rows.take(finite)
     if len(rows.time) < 2:
-        raise InputError(Fault(file, 0, 0, f"the log has {len(rows.time)} rows with a time", allowed="at least two"))
+        told = f"the log has {counted(len(rows.time), 'row')} with a time"
+        raise InputError(Fault(file, 0, 0, told, allowed="at least two"))
     step = np.diff(rows.time)
     back = step < 0
     if back.any():
@@ -95,7 +97,7 @@ def order_time(rows: Rows) -> None:
             got = f"{after} after {before}" + (f", {count} such places" if count > 1 else "")
             hint = "two runs in one file are split by a map with runs: {restart: true}"
             raise InputError(Fault(file, rows.raw.line(int(rows.row[worst])), 0, told, "time_s", got, even, hint))
-        told = f"time runs backwards in {count} places, by up to {jump:.3g} s"
+        told = f"time runs backwards in {counted(count, 'place')}, by up to {jump:.3g} s"
         at, action = int(np.argmax(back)) + 1, "the rows were sorted by time"
         rows.remark("time_backwards", "time_s", told, action, "error", at, count)
         rows.take(np.argsort(rows.time, kind="stable"))
@@ -133,7 +135,7 @@ def _merge_duplicates(rows: Rows) -> None:
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = total / number
         merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
-    told = f"{int((~first).sum())} rows repeat the time of the row before" + ("" if same else ", with other values")
+    told = f"{counted(int((~first).sum()), 'row')} with the time of the row before{', with other values' * (not same)}"
     action = "one row was kept for each time" + ("" if same else ", with the mean of the values")
     rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", ~first)
     rows.columns, rows.row = merged, rows.row[starts]
@@ -149,7 +151,7 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
             continue
         if isinstance(data, Labels):
             if (gone := data.codes < 0).any():
-                told = f"{int(gone.sum())} rows have no text"
+                told = f"{counted(int(gone.sum()), 'row')} without a text"
                 rows.remark("missing", name, told, "they count as a name of their own", "note", gone)
             continue
         known = _known(rows, name, data)

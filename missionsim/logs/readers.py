@@ -121,6 +121,12 @@ def source_suffixes() -> tuple[str, ...]:
     return tuple(suffix for reader in registry().values() for suffix in (*reader.suffixes, *reader.loose))
 
 
+def is_recording(path: Path) -> bool:
+    """Whether a file is named as a recording of messages, or a folder holds one."""
+    kinds = [reader for reader in registry().values() if reader.recording]
+    return any(path.suffix.lower() in one.suffixes or (one.folder and (path / one.folder).exists()) for one in kinds)
+
+
 def reader_of(path: Path) -> Reader:
     """The reader of a file, by its first bytes and then by its name; text of an unknown name is a table. Raises
     InputError: nothing there, a folder that is no source, a pipe, or a file that is not what its name says."""

@@ -14,7 +14,7 @@ from missionsim.diagnose.sentences import Asked
 from missionsim.diagnose.waterfall import bars_of, energy_note, measured_note, power_of_floor, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import plain, state, unit_of
-from missionsim.numerals import rounded, watts
+from missionsim.numerals import counted, rounded, watts
 from missionsim.report import page as web
 
 TONES: dict[str, web.Tone] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn"}
@@ -72,7 +72,7 @@ def _result(battery: BatteryDiagnosis, asked: Asked | None, several: bool) -> li
         told = f"with the law; {energy}" if last.name == "with_law" else told
         power = f"{rounded(first.power_rmse_w)} → {watts(last.power_rmse_w)}"
         cards.append(("Power error, runs not used", power, told))
-    drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
+    drives = f"{counted(len(battery.runs), 'run')}, {battery.seconds / 60:.0f} min"
     cards.append(("Mean power", f"{watts(battery.mean_power_w)}", drives))
     said = [told for told in (sentences.sure(battery), sentences.errors(battery)) if told]
     tone = "bad" if unseen_note(battery) else TONES[battery.verdict]

@@ -347,3 +347,16 @@ def test_unwrap_keeps_missing_values() -> None:
     result = transform.unwrap(angle)
     assert np.isnan(result[1])
     np.testing.assert_allclose(result[[0, 2, 3]], [3.0, -3.0 + 2 * np.pi, -2.9 + 2 * np.pi])
+
+
+@pytest.mark.parametrize(("kind", "what"), [("mcap", "MCAP file"), ("sqlite3", "ROS 2 bag"), ("folder", "ROS 2 bag")])
+def test_validate_says_how_a_bag_becomes_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, what: str
+) -> None:
+    bag = write_bag(tmp_path / "bag", "mcap" if kind == "mcap" else "sqlite3", 3.0)
+    given = bag if kind == "folder" else next(path for path in bag.iterdir() if path.suffix != ".yaml")
+    assert run_command(["validate", str(given)]) == 2
+    out, err = capsys.readouterr()
+    assert out == "1 file: 1 error\n"
+    assert f"{given}: error: this is a {what}, not a table" in err
+    assert "did you mean: missionsim import FILE --suggest" in err

@@ -130,7 +130,7 @@ def test_missing_spellings(tmp_path: Path) -> None:
          "'current_robot_a' beside 'voltage_robot_v'"),
         ("time_s,power_w\n0.5,10\n1.5,11\n", "no battery is measured", 1, 0,
          "'power_w' as power_robot_w (rename it, or use a map)"),
-        ("time_s,power_robot_w\n0.5,10\n", "the log has 1 rows with a time", 0, 0, ""),
+        ("time_s,power_robot_w\n0.5,10\n", "the log has 1 row with a time", 0, 0, ""),
         ("time_s,power_robot_w\n,10\n,11\n,12\n", "the log has 0 rows with a time", 0, 0, ""),
         ("time_s,power_robot_w\n1,\n2,\n3,\n", "no battery has values in two rows or more", 0, 0, ""),
         ("time_s,power_robot_w\n1,5\n1,5\n1,6\n", "all rows have the same time", 0, 0, ""),

@@ -245,3 +245,10 @@ def test_a_clock_that_is_set_does_not_ask_for_memory(tmp_path: Path) -> None:
     assert len(told) == 1
     blocks = list(iter_blocks(path, rows=50))
     assert np.concatenate([block.time_s for block in blocks])[-1] == pytest.approx(log.time_s[-1], abs=1e-3)
+
+
+def test_a_long_folder_says_how_many_files_are_not_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(21):
+        (tmp_path / f"r{number:02}.csv").write_text("time_s,a\n0,1\n1,2\n", encoding="utf-8")
+    assert main(["import", str(tmp_path)]) == 0
+    assert "r19.csv, … (21 in all)" in " ".join(capsys.readouterr().out.split())

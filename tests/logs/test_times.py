@@ -104,4 +104,4 @@ def test_a_bad_stamp_among_good_ones_is_a_missing_time(tmp_path: Path) -> None:
     path.write_text("time_s,power_robot_w\n" + "".join(f"{text},10\n" for text in texts))
     log = read_log(path)
     assert log.rows == len(texts) - 1
-    assert any(r.message == "1 rows have no time" for r in log.remarks)
+    assert any(r.message == "1 row without a time" for r in log.remarks)

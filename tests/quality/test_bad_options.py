@@ -179,7 +179,7 @@ def test_cells_and_times_that_only_look_like_numbers(tmp_path: Path, capsys: pyt
     )
     said = " ".join(capsys.readouterr().out.split())
     assert "2 of 40 cells are not numbers, first '1_000' (line 9)" in said
-    assert "1 rows have no time" in said
+    assert "1 row without a time" in said
     assert "inf s" not in said
     assert {line.split(",")[1] for line in out.read_text().splitlines()[1:]} == {"12.5"}
     assert run_command(["compare", "--robot", "pioneer3dx", str(tmp_path / "run.csv.gz")]) == 2

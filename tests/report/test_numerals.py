@@ -37,6 +37,11 @@ def test_a_clock_is_early_or_late_in_words() -> None:
     assert dict(words.report(replace(BATTERY, delay_s=-0.9)))["CLOCK"].startswith("meter 0.90 s ahead of the motion")
 
 
+def test_a_p_value_is_never_nought() -> None:
+    assert "p = 7e-21, p over runs 3e-19" in words.found_line(replace(GRADE, p_value=7e-21, p_runs=3e-19))
+    assert "p < 1e-300, p over runs < 1e-300" in words.found_line(replace(GRADE, p_value=0.0, p_runs=1e-310))
+
+
 def test_a_car_has_kilowatts_in_plain_digits() -> None:
     held = replace(BATTERY.heldout, power_rmse_w={name: 2000.0 * value for name, value in HELD.items()})
     assert "power RMSE 9,200 → 5,400 → 2,400 W" in dict(words.report(replace(BATTERY, heldout=held)))["HELD-OUT"]
