@@ -6,14 +6,16 @@ Each gives an `Answer`: the command's result (`Answer.value`, whose attributes t
 
 from __future__ import annotations
 
+import functools
 import html
+import inspect
 import os
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar
 
 from missionsim.files import Json, fields_of, write_text
 from missionsim.identify.settings import ALPHA
@@ -36,10 +38,26 @@ if TYPE_CHECKING:
     from missionsim.runs.run import Run
 
 T = TypeVar("T")
+P = ParamSpec("P")
 PathLike = str | os.PathLike[str]
 Logs = PathLike | Sequence[PathLike]
 Values = Mapping[str, object]
 _ROWS = 20
+
+
+def _in_one_thread(command: Callable[P, T]) -> Callable[P, T]:
+    """Its linear algebra in one thread, as on the command line: the matrices are small, so that threads cost many times
+    what they give, and sums repeat to the last bit."""
+
+    @functools.wraps(command)
+    def alone(*arguments: P.args, **options: P.kwargs) -> T:
+        import scipy.linalg  # noqa: F401 (has a library of its own; one that is loaded later has threads again)
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1, user_api="blas"):
+            return command(*arguments, **options)
+
+    return alone
 
 
 @dataclass(frozen=True, repr=False)
@@ -211,6 +229,7 @@ def compare(
     return Answer(found, line, lambda: rows, found.to_json, ("run", "energy_error_pct"))
 
 
+@_in_one_thread
 def diagnose(
     robot: PathLike,
     logs: Logs,
@@ -239,6 +258,7 @@ def diagnose(
     return Answer(found, "; ".join(told), lambda: rows, found.to_json, ("effect", "energy_share"))
 
 
+@_in_one_thread
 def add_effect(
     robot: PathLike, effect: str, logs: Logs, *, battery: str, holdout: str = "none", force: bool = False
 ) -> Answer[Adopted]:
@@ -262,6 +282,7 @@ def add_effect(
     return Answer(made, line, lambda: rows, lambda: data, ("parameter", "value"), made.text)
 
 
+@_in_one_thread
 def improve(
     robot: PathLike, logs: Logs, *, battery: str, holdout: str | Sequence[str | Path] | None = None
 ) -> Answer[Improved]:
@@ -280,6 +301,7 @@ def improve(
     return Answer(done, line, lambda: steps, lambda: data, ("step", "power_rmse_w"), done.text)
 
 
+@_in_one_thread
 def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Calibration]:
     """Refit a robot's parameters; see ``missionsim calibrate --robot``."""
     from missionsim.diagnose.split import read_runs
@@ -338,10 +360,13 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
     return Answer(site, line, rows, site.summary, ("to", "length"), site.environment_text())
 
 
-def _warn(left_out: Sequence[str], stacklevel: int = 3) -> None:
-    """Tell of runs that were left out, as the commands do."""
+def _warn(left_out: Sequence[str]) -> None:
+    """Tell of runs that were left out, as the commands do, at the user's line."""
+    level, frame = 1, inspect.currentframe()
+    while frame is not None and frame.f_globals["__name__"].partition(".")[0] == "missionsim":
+        level, frame = level + 1, frame.f_back
     for line in left_out:
-        warnings.warn(f"left out {line}", stacklevel=stacklevel)
+        warnings.warn(f"left out {line}", stacklevel=level)
 
 
 def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | None) -> Split:
@@ -349,7 +374,7 @@ def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | No
     from missionsim.inputs.loading import load_robot
 
     split = read_split(load_robot(robot), _paths(logs), holdout)
-    _warn(split.left_out, stacklevel=4)
+    _warn(split.left_out)
     return split
 
 

@@ -151,6 +151,29 @@ def test_python_interface_equals_the_command(patrol: Path, tmp_path: Path) -> No
         assert getattr(missionsim, name) is not None
 
 
+@pytest.mark.parametrize("command", ["diagnose", "add_effect", "improve", "calibrate"])
+def test_python_interface_computes_in_one_thread_as_the_command_does(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    from missionsim import interface
+
+    threads: list[set[int]] = []
+
+    def robot_of(*_: object) -> None:
+        threads.append({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"})
+        raise KeyError(command)
+
+    monkeypatch.setattr("missionsim.inputs.loading.load_robot", robot_of)
+    call = getattr(interface, command)
+    words = {"add_effect": ("pioneer3dx", "grade", "logs"), "improve": ("pioneer3dx", "logs")}
+    options = {"battery": "robot"} if command in words else {}
+    with threadpool_limits(2), pytest.raises(KeyError, match=command):
+        call(*words.get(command, ("pioneer3dx", "logs")), **options)
+    assert threads == [{1}]
+
+
 def test_energy_by_control_scheme_adds_up() -> None:
     from missionsim import load_mission, simulate
 

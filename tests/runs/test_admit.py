@@ -149,8 +149,9 @@ def test_the_command_says_it_first_and_exits_with_one(
     out = capsys.readouterr().out
     assert out.startswith("LEFT OUT run_01: power_robot_w is")
     assert "5 runs" in out
-    with pytest.warns(UserWarning, match="left out run_01: power_robot_w is"):
+    with pytest.warns(UserWarning, match="left out run_01: power_robot_w is") as told:
         fitted = missionsim.calibrate("pioneer3dx", logs)
+    assert told[0].filename == __file__
     assert "run_01" not in fitted.to_json()["batteries"]["robot"]["runs"]
     later = tmp_path / "later"
     later.mkdir()
@@ -159,8 +160,9 @@ def test_the_command_says_it_first_and_exits_with_one(
     words = ["diagnose", *arguments, "--holdout", str(later)]
     assert run_command(words) == 1
     assert capsys.readouterr().err.startswith("LEFT OUT held-out run_01: power_robot_w is")
-    with pytest.warns(UserWarning, match="left out held-out run_01: power_robot_w is"):
+    with pytest.warns(UserWarning, match="left out held-out run_01: power_robot_w is") as told:
         missionsim.diagnose("pioneer3dx", logs, holdout=str(later))
+    assert told[0].filename == __file__
     for path in later.iterdir():
         path.rename(logs / path.name)
     # a new robot has no model yet, and is held against that of all its runs
