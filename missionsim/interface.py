@@ -363,7 +363,7 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
 def _warn(left_out: Sequence[str]) -> None:
     """Tell of runs that were left out, as the commands do, at the user's line."""
     level, frame = 1, inspect.currentframe()
-    while frame is not None and frame.f_globals["__name__"].partition(".")[0] == "missionsim":
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "missionsim":
         level, frame = level + 1, frame.f_back
     for line in left_out:
         warnings.warn(f"left out {line}", stacklevel=level)
