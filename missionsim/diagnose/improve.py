@@ -372,7 +372,7 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
     unseen = unseen_note(last) if tested else ""
     unsure = [e for e in last.effects if e.indistinguishable_from]
     if unsure:
-        names = " or ".join((unsure[0].effect, *unsure[0].indistinguishable_from))
+        names = " or ".join((unsure[0].effect, *last.instead_of(unsure[0])))
         drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
         none = "neither" if len(unsure[0].indistinguishable_from) == 1 else "none of them"
         return f"these data cannot tell {names}, so {none} is added.{drive}"

@@ -156,7 +156,8 @@ def sure(battery: BatteryDiagnosis) -> str:
     if first is not None and first.indistinguishable_from:
         return "Not sure which: these data cannot tell these effects apart."
     if first is not None:
-        least = max(battery.effects, key=lambda effect: effect.p_value)
+        clear = [effect for effect in battery.effects if not effect.indistinguishable_from]
+        least = max(clear, key=lambda effect: effect.p_value)
         p = least.p_value
         odds = "less than one case in a million"
         if p >= 1e-6:  # two digits, rounded down: nothing is surer than it is
@@ -166,14 +167,12 @@ def sure(battery: BatteryDiagnosis) -> str:
         held = battery.heldout
         if doubt := "see the runs not used" if held is not None and rises(bars_of(held))[0] else first.doubt:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
-        seen, alone = (
-            [e.effect for e in battery.effects if ("repeated" in e.level) is is_in] for is_in in (True, False)
-        )
+        seen, alone = ([e.effect for e in clear if ("repeated" in e.level) is is_in] for is_in in (True, False))
         runs = "runs alone are too few to show it"
         if seen:
             runs = f"with whole runs as the sample {_listed(seen) + ' shows' if alone else 'it is there'} too"
             runs += f", {_listed(alone)} does not" if alone else ""
-        of = f" ({least.effect}, the least sure)" if len(battery.effects) > 1 else ""
+        of = f" ({least.effect}, the least sure)" if len(clear) > 1 else ""
         return f"Sure: {odds}{of}; {runs}."
     if not battery.proposed_laws:
         return ""

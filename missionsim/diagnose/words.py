@@ -31,9 +31,9 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     said += [f"{sentences.missing(f)}{sentences.named(f)}." for f in clear]
     for effect in battery.effects:
         if effect.indistinguishable_from:
-            names = " or ".join((effect.effect, *effect.indistinguishable_from))
+            names = " or ".join((effect.effect, *battery.instead_of(effect)))
             said.append(
-                f"Something is missing, {100 * effect.energy_share:.1f} % of the energy: {names}. These data "
+                f"Something {'else ' if clear else ''}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}. These data "
                 "cannot tell which."
             )
     if driven := [_execution(f) for f in battery.execution]:
@@ -90,7 +90,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     lines += [("FOUND", found_line(effect)) for effect in clear]
     lines += [("DRIVEN", f"{_execution(e)}; {100 * e.energy_share:+.1f} % of the energy") for e in battery.execution]
     for effect in unsure:
-        names, nats = (effect.effect, *effect.indistinguishable_from), effect.separation_nats
+        names, nats = (effect.effect, *battery.instead_of(effect)), effect.separation_nats
         more = ""
         if nats < 0.05:
             more = "; more of the same data will not help"

@@ -293,6 +293,11 @@ class BatteryDiagnosis(Findings):
             return "the library does not contain"
         return "these data do not name" + (f" (perhaps {' or '.join(doubted)})" if doubted else "")
 
+    def instead_of(self, effect: Finding) -> tuple[str, ...]:
+        """What an effect cannot be told from, in words: of an effect that is named, another form."""
+        named = {one.effect for one in self.effects if not one.indistinguishable_from}
+        return tuple(f"another form of {name}" if name in named else name for name in effect.indistinguishable_from)
+
     @property
     def parts(self) -> str:
         """What is left out one at a time, in words."""

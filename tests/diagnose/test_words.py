@@ -10,6 +10,7 @@ import pytest
 
 from missionsim.compare import Where
 from missionsim.diagnose import adopt, sentences, words
+from missionsim.diagnose.improve import _why
 from missionsim.files import to_json
 from missionsim.identify.findings import (
     BatteryDiagnosis,
@@ -113,6 +114,17 @@ def test_found() -> None:
     assert "energy error 4.60 → 2.70 (recalibrated) → 1.20 % (with the effects)" in told
     assert "BASE recalibrated, no discovery: c3 +4.2 % (+1.4 sd)" in told
     assert "UNTESTABLE without access_point_distance_m: radio_range" in told
+
+
+def test_what_may_be_a_misfit_of_an_effect_that_is_named_may_be_another_form_of_it() -> None:
+    floors = replace(PAYLOAD, effect="surface_rolling_resistance", indistinguishable_from=("grade",), p_value=0.016)
+    battery = replace(BATTERY, effects=(GRADE, floors))
+    either = "surface_rolling_resistance or another form of grade"
+    assert f"{either}. These data cannot tell which." in words.headline(battery)
+    assert "UNSURE surface_rolling_resistance OR another form of grade, 5.0 % of energy" in text(battery)
+    assert _why(battery, []).startswith(f"these data cannot tell {either}, so neither is added.")
+    # what is sure is what is named
+    assert sentences.sure(battery) == sentences.sure(BATTERY)
 
 
 def test_that_whole_runs_show_it_is_told_of_the_effects_of_which_they_do() -> None:

@@ -193,6 +193,16 @@ def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
     assert estimates._similar(choice, number, {0: 0.02, 1: 0.2}) == may_be
 
 
+def test_an_effect_that_is_named_is_no_rival_of_what_may_be_another_form_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        estimates, "_similar", lambda _choice, number, _sizes: ("turning_scrub",) if number == 0 else ()
+    )
+    found = fit_effects(make_runs(11, strength("grade", 0.1)), library(), ["grade", "turning_scrub"], {})
+    told = {one.effect: (one.open, one.reason) for one in found.candidates}
+    assert told["turning_scrub"][0] is False
+    assert told["turning_scrub"][1].startswith("explains")
+
+
 def test_a_load_that_its_log_says_was_never_on_may_be_most_of_itself_or_all() -> None:
     effect = Candidate("standby_load", ("on",), never_on={"laser": 2.0})
     assert [effect.may_be(watts) for watts in (0.5, 1.0, 2.0, 2.1)] == [(), ("laser",), ("laser",), ()]
