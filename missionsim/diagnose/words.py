@@ -32,10 +32,8 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     for effect in battery.effects:
         if effect.indistinguishable_from:
             names = " or ".join((effect.effect, *battery.instead_of(effect)))
-            said.append(
-                f"Something {'else ' if clear else ''}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}. These data "
-                "cannot tell which."
-            )
+            told = f"{'else ' if clear else ''}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}"
+            said.append(f"Something {told}. These data cannot tell which.")
     if driven := [_execution(f) for f in battery.execution]:
         said.append(f"The robot drove otherwise than planned: {'; '.join(driven)}.")
     for law in battery.proposed_laws:
