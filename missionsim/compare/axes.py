@@ -103,6 +103,7 @@ class NumberAxis(_Axis):
         super().__init__(name, title, unit)
         self._factor, self._magnitude = factor, magnitude
         self._exponent: int | None = None
+        self._most = -math.inf
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN. Returns None where no row has a
@@ -121,6 +122,7 @@ class NumberAxis(_Axis):
                 return None
             low, high = float(values[known].min()), float(values[known].max())
             values = np.where(known, values, low)
+        self._most = max(self._most, high)
         if self._exponent is None:
             width = (high - low) / 20.0 if high > low else 0.1 * low
             # bounded, so that the inverse of ten to this power is a number
@@ -143,15 +145,16 @@ class NumberAxis(_Axis):
         return cells
 
     def bins(self, battery: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE) -> list[Bin]:
-        """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out. Bins at the ends with
-        less than the share `thin` of the time are joined to their neighbour."""
+        """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out. The first and the last
+        end at what was measured, and with less than the share `thin` of the time are joined to their neighbour."""
         filled = self._cells[self._of(f"{battery}:seconds") > 0.0]
         if self._exponent is None or not filled.size:
             return []
         lowest, highest = int(filled[0]), int(filled[-1])
         round_numbers = (step * 10**power for power in range(20) for step in (1, 2, 5))
         multiple = next(m for m in round_numbers if highest // m - lowest // m + 1 <= wanted)
-        width = multiple * 10.0**self._exponent
+        cell = 10.0**self._exponent
+        width, least, most = multiple * cell, lowest * cell, math.ceil(self._most / cell - 1e-9) * cell
         cells, sums = _joined(self._cells // multiple, self._counted(battery))
         cells, totals = cells[sums["seconds"] > 0.0], np.stack(list(sums.values()))[:, sums["seconds"] > 0.0]
         time, limit = totals[0], thin * float(totals[0].sum())
@@ -162,9 +165,10 @@ class NumberAxis(_Axis):
             last -= 1
         found = []
         for begin, end in itertools.pairwise([0, *range(first + 1, last + 1), len(cells)]):
-            low, high = (float(f"{int(edge) * width:.10g}") + 0.0 for edge in (cells[begin], cells[end - 1] + 1))
-            named = f"{low:.10g} to {high:.10g}".replace("-", "−")
-            found.append(Bin(named, low, high, *totals[:, begin:end].sum(axis=1).tolist()))
+            ends = max(int(cells[begin]) * width, least), min((int(cells[end - 1]) + 1) * width, most)
+            low, high = (float(f"{edge:.10g}") + 0.0 for edge in ends)
+            named = f"{low:.10g} to {high:.10g}" if low < high else f"{low:.10g}"
+            found.append(Bin(named.replace("-", "−"), low, high, *totals[:, begin:end].sum(axis=1).tolist()))
         return found
 
 
