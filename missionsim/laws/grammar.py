@@ -153,18 +153,20 @@ class Grammar:
 def unit_of(formula: str) -> str:
     """Unit of ``k`` in ``k * …``, such as ``W s/rad/kg``, so that the whole is in W.
 
-    Quantities that the glossary does not hold count as plain numbers, and so do switches, comparisons and what stands
-    in an exponential or a hyperbolic tangent.
+    Quantities that the glossary does not hold count as plain numbers but for those named as powers, and so do switches,
+    comparisons and what stands in an exponential or a hyperbolic tangent.
     """
-    left = {name: -power for name, power in (units_in(formula, _powers, {}) or {}).items() if power}
+    found = units_in(formula, _powers, {}) or {}
+    left = {name: float(name == "W") - found.get(name, 0.0) for name in ("W", *found)}
     over = [name if p == 1 else f"{name}^{p:g}" for name, p in left.items() if p > 0]
     under = [f"/{name}" if p == -1 else f"/{name}^{-p:g}" for name, p in left.items() if p < 0]
-    return " ".join(["W", *over]) + "".join(under)
+    return " ".join(over or ["1"]) + "".join(under)
 
 
 def _powers(name: str) -> Powers:
     powers: Powers = {}
-    for index, part in enumerate(unit_named(name).split("/")):
+    watts = "kW" if name.endswith("_kw") else "W" if name.endswith("_w") else ""
+    for index, part in enumerate((unit_named(name) or watts).split("/")):
         for base, power in re.findall(r"([A-Za-z]+)(?:\^(\d))?", part):
             powers["K" if base == "degC" else base] = float(power or 1) * (1 if index == 0 else -1)
     return powers

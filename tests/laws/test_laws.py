@@ -118,6 +118,9 @@ def test_only_a_switch_that_is_thrown_within_runs_has_a_clock(switched: bool, cl
         ("k * tanh(abs(speed_m_s) / 0.2) * on_camera", "W"),
         ("k * (surface == 'carpet') * payload_kg**2", "W/kg^2"),
         ("k * abs(speed_m_s) * max(-accel_m_s2, 0)", "W s^3/m^2"),
+        ("k * heater_w", "1"),
+        ("k * power_heater_w * abs(speed_m_s)", "s/m"),
+        ("k * max(arm_kw - 0.2, 0)", "W/kW"),
     ],
 )
 def test_the_unit_of_k_follows(formula: str, unit: str) -> None:
