@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
 import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -39,6 +44,45 @@ def effects_alone(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     """No search for laws, which takes half of a diagnosis and begins when effects have been named; studies keep it."""
     if request.node.get_closest_marker("study") is None:
         monkeypatch.setattr("missionsim.diagnose.examine.propose", lambda *_: None)
+
+
+def _told(value: Any) -> Any:
+    """A value as what can be compared as text, whatever object holds it."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
+    if is_dataclass(value):
+        return type(value).__name__, [(one.name, _told(getattr(value, one.name))) for one in fields(value)]
+    if isinstance(value, Mapping):
+        return [(name, _told(one)) for name, one in value.items()]
+    if isinstance(value, tuple | list):
+        return [_told(one) for one in value]
+    return repr(value)
+
+
+_EXAMINED: dict[str, Any] = {}
+MOST_EXAMINED = 8
+
+
+@pytest.fixture(scope="module")
+def examined_once() -> Iterator[None]:
+    """Commands that examine the same robot on the same logs, as `diagnose`, `add-effect` and `improve` do one after the
+    other, get what the first of them saw; where anything differs, a file's text or a row, each sees for itself."""
+    import missionsim.diagnose.examine as module
+
+    real, real_propose = module.examine, module.propose
+
+    def once(subject: Any, *more: Any) -> Any:
+        key = repr([repr(subject.robot), _told(subject.priors), _told(more), module.propose is real_propose])
+        if key not in _EXAMINED:
+            while len(_EXAMINED) >= MOST_EXAMINED:
+                del _EXAMINED[next(iter(_EXAMINED))]
+            _EXAMINED[key] = real(subject, *more)
+        return _EXAMINED[key]
+
+    with pytest.MonkeyPatch.context() as patched:
+        for user in ("adopt", "diagnosis", "improve"):
+            patched.setattr(f"missionsim.diagnose.{user}.examine", once)
+        yield
 
 
 def pytest_configure() -> None:

@@ -24,6 +24,8 @@ from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_map, robot_from_text
 from missionsim.logs import LogTable, read_logs
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 
 @pytest.fixture(scope="module")
 def warthog(shared: Path, root: Path) -> list[LogTable]:

@@ -39,6 +39,8 @@ from tests.hidden_effects.world import write as write_world
 from .logs import drawing, drive
 from .test_commands import write
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 BASE = "c2*v**2 + c3*v + c4"
 BATTERY = "robot"
 

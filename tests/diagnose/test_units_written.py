@@ -22,6 +22,8 @@ from missionsim.logs import LogTable
 from .logs import drawing, drive
 from .test_commands import write
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 UNITS = ("W/rpm", "W/percent", "N h/mm", "mW")
 EFFECT = '{{name: brush, battery: robot{more}, power: "k * brush_rpm", parameters: {{k: {k}}}}}'
 

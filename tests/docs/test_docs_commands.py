@@ -70,6 +70,7 @@ def run(statement: str, monkeypatch: pytest.MonkeyPatch) -> int:
     return left.value.code
 
 
+@pytest.mark.usefixtures("examined_once")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_commands_of_page(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

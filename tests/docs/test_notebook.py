@@ -11,6 +11,8 @@ import pytest
 
 import missionsim
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -30,11 +30,13 @@ from missionsim.laws.proposal import _experiment
 from .study import diagnose, held_by_band, judge
 from .world import LAWS, Made, make
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, Any], Made]:
     """A robot that turns badly with a load while it drives: folders of logs, diagnosis, truth."""
-    made = make("v_w_m", 11, 0.06, runs=8, heldout=2, duration_s=300.0)
+    made = make("v_w_m", 12, 0.06, runs=6, heldout=3, duration_s=200.0)
     train, heldout = made.write(tmp_path_factory.mktemp("hidden"))
     return train, heldout, diagnose(train, heldout)[0], made
 
@@ -129,7 +131,7 @@ def test_the_unit_of_k_follows(formula: str, unit: str) -> None:
 
 def test_the_law_is_found_with_its_quantities_and_its_band(hidden: tuple[Path, Path, dict[str, Any], Made]) -> None:
     _, _, report, made = hidden
-    row = judge("v_w_m", 11, 0.06, made, report)
+    row = judge("v_w_m", 12, 0.06, made, report)
     assert report["verdict"] == "unexplained_structure"
     assert row["variables"], row
     assert row["certain"], row
@@ -156,7 +158,7 @@ def test_add_effect_writes_the_law_that_is_proposed_and_run_uses_it(
     train, heldout, report, _ = hidden
     formula = report["proposed_laws"][0]["forms"][0]["formula"]
     robot, told = (tmp_path / name for name in ("law.yaml", "told.json"))
-    logs = ["--robot", "pioneer3dx", str(train), "--holdout", "none", "--quiet"]
+    logs = ["--robot", "pioneer3dx", str(train), "--holdout", str(heldout), "--quiet"]
     assert main(["add-effect", "--formula", "1", *logs, "--out", str(robot), "--json", str(told)]) == 0
     assert str(robot_from_text(robot.read_text(encoding="utf-8")).effects[-1].power) == formula
     made = json.loads(told.read_text(encoding="utf-8"))

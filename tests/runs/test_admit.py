@@ -25,6 +25,8 @@ from tests.hidden_effects.world import write as write_world
 from tests.rough import regimes
 from tests.rough.world import WORLDS, write
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 
 @pytest.fixture(scope="module")
 def runs() -> list[Run]:

@@ -15,6 +15,8 @@ from missionsim.logs import read_logs
 from missionsim.physics.lag import Meter, metered
 from missionsim.runs.drive import assume, drive, drive_blocks
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 
 def by_small_steps(power_w, edges_s, meter, step_s):
     """Means over rows of ``lag dy/dt + y = p(t − delay)``, by Euler's method, begun a second before the first row."""

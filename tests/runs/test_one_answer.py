@@ -16,6 +16,8 @@ from missionsim.inputs import load_mission
 from missionsim.logs import read_log
 from missionsim.runs.motion import mean_ratio, motions, planned, still_of, tracking
 
+pytestmark = pytest.mark.usefixtures("examined_once")
+
 BASE = """kind: robot
 name: skid
 title: a skid-steered robot made for this test
