@@ -94,8 +94,8 @@ class Prepared:
                 slopes = {name: np.where(broken, 0.0, values) for name, values in slopes.items()}
             own = {} if columns is None else columns[i]
             watched, fresh = _watched(driven, self.names, self.texts), run.fresh.get(self.battery)
-            one = RunData(run.run, run.time_s, run.dt_s, measured, base_w, slopes, own, watched, fresh=fresh)
-            found.append(one)
+            rows = (run.run, run.time_s, run.dt_s, measured, base_w, slopes, own, watched)
+            found.append(RunData(*rows, fresh=fresh, begin_s=run.begin_s))
         return tuple(found)
 
 

@@ -31,6 +31,7 @@ class RunData:
     columns : candidate column -> its power for coefficient 1 [W per unit of the coefficient]
     covariates : what the remaining error may depend on (``speed_m_s``, ``yaw_rate_rad_s``, ...)
     fresh : rows at which the power value was really refreshed; None when every row is
+    begin_s : when it began [s since 1970]; not a number where that is not known
     """
 
     run: str
@@ -43,6 +44,7 @@ class RunData:
     covariates: Mapping[str, Array] = field(default_factory=dict)
     _: KW_ONLY
     fresh: NDArray[np.bool_] | None = None
+    begin_s: float = math.nan
 
     def __post_init__(self) -> None:
         n = len(self.time_s)

@@ -65,6 +65,7 @@ class Design:
     runs: tuple[slice, ...]
     stretches: tuple[slice, ...]
     names: tuple[str, ...]
+    begins_s: tuple[float, ...]
 
     @property
     def residual(self) -> Array:
@@ -84,9 +85,11 @@ class Design:
             own = [(part.start, min(part.stop, stop)) for part in self.stretches if run.start <= part.start < stop]
             stretches += [slice(first - run.start + begin, last - run.start + begin) for first, last in own]
         part, names = np.concatenate(at), tuple(self.names[j] for j in numbers)
+        begins_s = tuple(self.begins_s[j] for j in numbers)
         rows = {name: getattr(self, name)[part] for name in ("y", "base", "duration_s", "time_s")}
         stacks = {name: getattr(self, name)[:, part] for name in ("gradient", "phi", "random")}
-        return replace(self, **rows, **stacks, runs=tuple(runs), stretches=tuple(stretches), names=names), part
+        cut = replace(self, **rows, **stacks, runs=tuple(runs), stretches=tuple(stretches))
+        return replace(cut, names=names, begins_s=begins_s), part
 
     def run_index(self) -> NDArray[np.intp]:
         """Number of the run of each row, shape (n,)."""
@@ -229,6 +232,7 @@ class Source:
             runs=tuple(runs),
             stretches=tuple(stretches),
             names=tuple(r.run for r in self.runs),
+            begins_s=tuple(r.begin_s for r in self.runs),
         )
 
 

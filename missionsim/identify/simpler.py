@@ -140,15 +140,19 @@ def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> b
     """Whether a steady drift over the runs, in their order, of a load or of one parameter of the base predicts left-out
     runs as well as some columns, beside others.
 
-    Loads that grow with every trip, or the trips of a day that gets warmer, are in the order of the runs. Names that
-    begin with a floor or a load are sorted by it and not by time, so that the order is that of names that begin alike.
+    Loads that grow with every trip, or the trips of a day that gets warmer, are in the order of the runs. Where their
+    times do not tell it, it is that of names that begin alike: others are sorted by a floor or a load in the name.
     """
     # two or three runs that begin alike say nothing: a difference between two of them is no drift
     begin = [re.split(r"\d", name, maxsplit=1)[0] for name in design.names]
     alike = [np.flatnonzero([other == own for other in begin]) for own in begin]
+    by_time = np.argsort(begins_s := np.array(design.begins_s))
+    ends_s = begins_s + [design.time_s[rows][-1] for rows in design.runs]
+    if np.all(begins_s[by_time[1:]] >= ends_s[by_time[:-1]]):  # one robot drives one run at a time
+        alike = [by_time] * len(begin)
     if max(map(len, alike)) <= SEVERAL_RUNS:
         return False
-    place = [2.0 * np.searchsorted(runs, j) - len(runs) + 1.0 for j, runs in enumerate(alike)]
+    place = [2.0 * runs.tolist().index(j) - len(runs) + 1.0 for j, runs in enumerate(alike)]
     order = (np.array(place) / max(1.0, *place))[design.run_index()]
     drifts = order * np.vstack([np.ones_like(order), design.gradient[: len(design.layout.parameters)]])
     squares = LeastSquares.of(replace(design, phi=np.vstack([design.phi, drifts])))

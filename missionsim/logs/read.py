@@ -53,8 +53,9 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
         The file cannot be read, a required column is missing, a cell is not a number, or time restarts.
     """
     raw = read_raw(path)
-    TimeAxis().apply(raw)
-    return make_log(raw, Path(path).stem, robot=robot)
+    axis = TimeAxis()
+    axis.apply(raw)
+    return replace(make_log(raw, Path(path).stem, robot=robot), begin_s=axis.begin_s)
 
 
 def read_logs(

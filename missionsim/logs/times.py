@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -152,6 +153,7 @@ class TimeAxis:
 
     def __init__(self) -> None:
         self.start: float | None = None
+        self.begin_s = math.nan  # since 1970, where the times have a date
         self.days = 0.0
         self.last = -np.inf
         self.taken_out = 0.0
@@ -175,6 +177,7 @@ class TimeAxis:
                 self.days += _DAY_S
             if self.start is None:
                 self.start = float(known[0])
+                self.begin_s = self.start if found.kind != "day" else math.nan
                 raw.remarks += found.remarks
             found.seconds = found.seconds + (self.days - self.start)
             self.last = float(known[-1]) + self.days

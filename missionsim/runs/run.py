@@ -6,8 +6,9 @@ And a run without one fault that its log may have: another unit or sign, an inve
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,9 @@ class Run:
     """The file as the user gave it."""
     remarks: tuple[Remark, ...] = field(default=(), compare=False)
     """What was wrong, and what was done."""
+    _: KW_ONLY
+    begin_s: float = math.nan
+    """When it began, in seconds since 1970; not a number where its log does not say."""
 
     def __post_init__(self) -> None:
         for name in ("columns", "power_w", "fresh", "power_from"):

@@ -62,6 +62,18 @@ def test_three_runs_have_no_drift_that_could_be_told_from_anything() -> None:
     assert not drifts_as_well(few.design, [payload], [])
 
 
+def test_times_of_the_logs_give_the_order_whatever_their_names_are() -> None:
+    model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model
+    payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
+    hidden = replace(model.design, names=tuple("abcdefghijklmnopqr"))
+    assert not drifts_as_well(hidden, [payload], [])
+    assert drifts_as_well(replace(hidden, begins_s=tuple(1.7e9 + 3600.0 * j for j in range(COUNT))), [payload], [])
+    turned = tuple(1.7e9 + 3600.0 * (7 * j % COUNT) for j in range(COUNT))
+    assert not drifts_as_well(replace(model.design, begins_s=turned), [payload], [])
+    # clocks that begin anew with each start of the robot tell no order
+    assert not drifts_as_well(replace(hidden, begins_s=tuple(1.5e9 + j for j in range(COUNT))), [payload], [])
+
+
 def test_names_that_begin_with_what_was_loaded_tell_no_order_of_the_day() -> None:
     """Sorted by name, the heavy runs stand before the light ones whenever they were driven."""
     model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model

@@ -47,6 +47,7 @@ def test_forms(tmp_path: Path, form: str) -> None:
     path.write_text("time_s,power_robot_w\n" + "\n".join(rows) + "\n")
     log = read_log(path)
     np.testing.assert_allclose(log.time_s, TRUE, atol=2e-6)
+    assert np.isfinite(log.begin_s) == (form != "time of day")
     assert [fault.message for fault in check_log(path)] == []
     pieces = np.concatenate([block.time_s for block in iter_blocks(path, rows=30)])
     np.testing.assert_allclose(pieces, TRUE, atol=2e-6)
