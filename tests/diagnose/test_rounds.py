@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -256,8 +256,36 @@ def test_the_size_of_an_effect_is_that_beside_the_law(
     """Alone it had taken the law's part: scrub of 28 % of the energy (12 to 44 %) where none was."""
     (alone,) = named("scrub")
     beside = replace(alone, energy_share=part * alone.energy_share, share_low=least * alone.energy_share)
+    named_ = judged_beside_a_law(monkeypatch, (alone,), lambda effects: (beside,) * len(effects), needed=needed)
+    kept = (beside,) if stays else ()
+    assert (named_.effects, named_.fitted) == (kept, (kept, True))
+    assert named_.proposed == (Formed(() if stays else ("scrub",)),)
+
+
+def test_an_effect_that_fades_once_another_has_gone_goes_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two that share what the law takes, the second is small only beside the law alone."""
+    alone = named("scrub", "skid", "grade")
+
+    def beside(effects: Sequence[Finding]) -> tuple[Finding, ...]:
+        faded = {"scrub", "skid"} if "scrub" not in {one.effect for one in effects} else {"scrub"}
+        return tuple(replace(one, energy_share=(0.1 if one.effect in faded else 1.0) * 0.03) for one in effects)
+
+    alone = tuple(replace(one, energy_share=0.03) for one in alone)
+    named_ = judged_beside_a_law(monkeypatch, alone, beside, needed=False)
+    assert [one.effect for one in named_.effects] == ["grade"]
+    assert named_.proposed == (Formed(("scrub", "skid")),)
+
+
+def judged_beside_a_law(
+    monkeypatch: pytest.MonkeyPatch,
+    alone: tuple[Finding, ...],
+    beside: Callable[[Sequence[Finding]], tuple[Finding, ...]],
+    *,
+    needed: bool,
+) -> diagnosis.Named:
+    """What `judged` makes of effects as they are `alone` and, fitted together, `beside` one law."""
     law = Formed()
-    found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=(alone,), candidates=())
+    found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=alone, candidates=())
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(
         settings=SimpleNamespace(min_share=0.0),
@@ -268,17 +296,14 @@ def test_the_size_of_an_effect_is_that_beside_the_law(
     )
     finding = replace(GRADE, effect="k * v")
     with_it = SimpleNamespace(
-        certain=lambda effects: ((finding, *[beside] * (len(effects) - 1)), None),
+        certain=lambda effects: ((finding, *beside(effects[1:])), None),
         needed_beside=lambda _, effects: tuple(effects) if needed else (),
     )
     monkeypatch.setattr(diagnosis, "as_finding", lambda _: finding)
     monkeypatch.setattr(diagnosis, "with_law", lambda *_: with_it)
     monkeypatch.setattr(diagnosis, "as_written", lambda law, *_: (law, None))
     seen = SimpleNamespace(features=features, found=found, models=models, held=(), law=lambda: law)
-    named_ = diagnosis.judged(seen)  # type: ignore[arg-type]
-    kept = (beside,) if stays else ()
-    assert (named_.effects, named_.fitted) == (kept, (kept, True))
-    assert named_.proposed == (Formed(() if stays else ("scrub",)),)
+    return diagnosis.judged(seen)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -254,3 +254,28 @@ def test_peaks_in_little_of_the_time(rows: int, size_w: float, told: bool) -> No
     left_w[:rows] = size_w
     words = residual.peaks(left_w, np.ones(len(left_w)))
     assert words.startswith(f"peaks of about {size_w:.0f} W hold 89 % of the squared error") if told else words == ""
+
+
+@pytest.mark.parametrize(("runs", "floors", "told"), [(9, 3, True), (10, 3, False), (8, 2, True), (9, 2, False)])
+def test_a_label_that_is_constant_in_runs_may_be_it_where_a_level_has_up_to_three_runs(
+    monkeypatch: pytest.MonkeyPatch, runs: int, floors: int, told: bool
+) -> None:
+    of_floor = (np.arange(runs) % floors == np.arange(floors)[:, None]).astype(float)
+    label = SimpleNamespace(effect="floor", levels=tuple("abc"[:floors]))
+    model: Any = SimpleNamespace(
+        noise=SimpleNamespace(gain=0.0, motion_gain=0.0, offset_w=1.0),
+        design=SimpleNamespace(
+            layout=LAYOUT,
+            phi=of_floor,
+            runs=[slice(j, j + 1) for j in range(runs)],
+            names=[f"run{j}" for j in range(runs)],
+        ),
+        constraints=SimpleNamespace(candidates=(label,), effect=np.zeros(floors, dtype=int)),
+        chosen=(),
+    )
+    monkeypatch.setattr(residual, "random_effects", lambda *_: np.outer(np.arange(runs) % floors, [2.0, 0.0, 0.0]))
+    monkeypatch.setattr(residual, "cause_is_constant", lambda *_: True)
+    apart, _ = residual.runs_apart(model)
+    assert apart is not None
+    assert apart.effects == (("floor",) if told else ())
+    assert ("it may be floor" in apart.shape) == told
