@@ -522,6 +522,23 @@ def test_a_rounded_topic_that_reads_the_same_again_was_refreshed() -> None:
     assert every - fresh[1] == set(range(1010, 1080, 10))
 
 
+@pytest.mark.parametrize("seconds", [200, 2000])
+def test_a_coarse_meter_that_is_read_once_a_second_is_seen_in_every_run(seconds: int) -> None:
+    """Its readings come back, the more so the longer the run is; those of a meter read in each row do at once."""
+    rng = np.random.default_rng(5)
+    speed = np.repeat(rng.choice([0.0, 0.2, 0.5], seconds // 20), 20)
+    watts = 11.0 + 40.0 * speed + rng.normal(0.0, 0.3, seconds)
+    time = 0.1 * np.arange(10 * seconds)
+    held = refreshes(0.5 * np.round(2.0 * np.repeat(watts, 10)), time)
+    assert held is not None
+    assert held.period_s == pytest.approx(1.0)
+    assert {*range(0, 10 * seconds, 10)} <= {*np.flatnonzero(held.fresh).tolist()}
+    each_row = np.repeat(watts, 10) + rng.normal(0.0, 0.3, 10 * seconds)
+    assert refreshes(0.5 * np.round(2.0 * each_row), time) is None
+    duty = np.repeat(np.tile([11.0, 14.0], seconds // 2), 10)  # a load that comes and goes is no topic
+    assert refreshes(duty, time) is None
+
+
 def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
     from missionsim.inputs import load_robot
 
