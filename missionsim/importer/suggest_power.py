@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.importer.roles import UNITS, Guess, words_of
 from missionsim.labels import Labels
-from missionsim.logs.raw import refreshes
+from missionsim.logs.refresh import refreshes
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft

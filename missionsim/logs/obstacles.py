@@ -11,7 +11,8 @@ import numpy as np
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import Bools, refreshes
+from missionsim.logs.raw import Bools
+from missionsim.logs.refresh import refreshes
 from missionsim.logs.suspect import STRETCH, hardly_moves, stretches
 from missionsim.physics import Array
 from missionsim.physics.lag import Meter, metered

@@ -259,18 +259,6 @@ def number_of(word: str) -> float:
         return float("nan")
 
 
-_SLOW_SHARE = 0.3
-"""Share of repeated neighbours above which a column may come from a slower topic."""
-_SLOWEST_S = 15.0
-"""A refresh slower than this is not a topic's rate but a value that stays."""
-_PLATEAUS = 8
-"""Of no more distinct values, equal ones are plateaus."""
-_SHORT = 0.05
-"""Part of the readings of a rounded topic that may be shorter than its period."""
-_ROUNDED = 10.0
-"""A meter that usually moves by fewer of its steps reads the same again now and then."""
-
-
 MEASURED = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
 """Columns of which a log needs some."""
 
@@ -314,62 +302,6 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
         told, got = "no battery is measured", ", ".join(names)[:200]
         faults.append(Fault(file, header_line(), 0, told, "power_<battery>_w", got, MEASURED, *hints[:1]))
     return faults
-
-
-@dataclass(frozen=True)
-class Refresh:
-    """How often a column really changes."""
-
-    fresh: Bools
-    """Rows with a new value. Shape (n,)."""
-    period_s: float
-    """Typical time between them [s]."""
-
-
-def refreshes(values: Array, time_s: Array) -> Refresh | None:
-    """Find out whether a column repeats the values of a slower topic.
-
-    `values`, `time_s`: shape (n,). Gives None where the column changes in most rows, or stays for other reasons: at a
-    plateau, or standing still.
-
-    A slower topic shows as runs of equal values of nearly equal length whose values hardly ever come back; a coarse
-    meter or a robot that stands still gives runs of every length, or few distinct values. A slower topic that is
-    rounded reads the same again as well, at once or later: it was refreshed all the same, and hardly any reading of it
-    is shorter than its period.
-    """
-    n = len(values)
-    if n < 20:
-        return None
-    if float(np.ptp(values)) <= 1e-6 * float(np.abs(values).max()):
-        return None  # a constant with rounding noise
-    change = np.r_[True, values[1:] != values[:-1]]
-    starts = np.flatnonzero(change)
-    if len(starts) < 5 or len(starts) > (1 - _SLOW_SHARE) * n:
-        return None
-    every = np.diff(np.r_[starts, n])
-    lengths = every[1:-1]
-    alive = values[starts][1:-1] != 0.0
-    if alive.sum() < 4:
-        return None
-    lengths = lengths[alive]
-    typical = float(np.median(lengths))
-    step_s = float(np.median(np.diff(time_s[: min(n, 20000)])))
-    distinct = len(np.unique(values[starts[:2000]]))
-    regular = np.abs(lengths - typical) <= max(1.0, 0.35 * typical)
-    if distinct < 0.25 * min(len(starts), 2000) or np.mean(regular) < 0.6:
-        typical = float(np.median(lengths[lengths <= 1.5 * np.quantile(lengths, 0.25)]))
-        whole = np.abs(lengths - np.round(lengths / typical) * typical) <= max(1.0, 0.15 * typical)
-        if distinct <= _PLATEAUS or np.mean(lengths < 0.65 * typical) > _SHORT or np.mean(whole) < 0.6:
-            return None
-    if typical < 2 or typical * step_s > _SLOWEST_S:
-        return None
-    grain = float(np.min(np.diff(np.unique(values))))  # the least difference between two readings
-    rounded = float(np.median(np.abs(np.diff(values[starts])))) < _ROUNDED * grain
-    for start, length in zip(starts, every, strict=True) if rounded else ():
-        if length * step_s < _SLOWEST_S:
-            again = start + np.round(np.arange(1, round(length / typical)) * typical).astype(int)
-            change[again] = True
-    return Refresh(change, typical * step_s)
 
 
 def power_from_energy(energy_wh: Array, time_s: Array) -> tuple[Array, Bools | None]:

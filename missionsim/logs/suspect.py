@@ -13,7 +13,8 @@ from missionsim.errors import did_you_mean
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import Bools, refreshes
+from missionsim.logs.raw import Bools
+from missionsim.logs.refresh import refreshes
 from missionsim.physics import Array
 
 _SAMPLE = 100_000

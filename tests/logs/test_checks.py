@@ -9,7 +9,8 @@ import pytest
 
 from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log
 from missionsim.logs.obstacles import clock_delay
-from missionsim.logs.raw import power_from_energy, refreshes
+from missionsim.logs.raw import power_from_energy
+from missionsim.logs.refresh import refreshes
 from tests.logs.conftest import motion, write_csv
 
 
