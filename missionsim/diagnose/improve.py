@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
+from missionsim.diagnose import words
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import NO_PRIOR_SD, Examined, Subject, examine, prior_before
@@ -16,15 +17,13 @@ from missionsim.diagnose.leftover import fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, law_name, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
-from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, unseen_note, worse_note
+from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
-from missionsim.identify.proposed import plain
 from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
-NOTHING_LEFT = "nothing is left above the detection limits"
 MOVED = 0.1
 """Change of a size, in parts of it, that is told."""
 CLOCK_MOVES_S = 0.05
@@ -90,7 +89,7 @@ class Improved:
     @property
     def complete(self) -> bool:
         """Whether nothing remains to be told."""
-        return self.stopped == f"{NOTHING_LEFT}."
+        return self.stopped == f"{words.NOTHING_LEFT}."
 
     @property
     def worse(self) -> str:
@@ -161,8 +160,10 @@ class Rounds:
         self.state = self.library = start
         self.split, self.battery, self.settings, self.ask, self.priors = split, battery, settings, ask, priors
         self.declined: list[str] = []
-        self.rivals = {effect.effect: {*effect.indistinguishable_from} for effect in start.last.effects}
-        """What each could not be told from at first; one of these in the file tells no more."""
+        self.alike = [{one.effect, *one.indistinguishable_from} for one in start.seen.found.effects]
+        """What could not be told apart at first; one of these in the file tells no more, nor a law in its place."""
+        self.stood_in: set[str] = set()
+        """Effects in whose place a law went in."""
         self.nothing = Counter[str]()
         """How often each came to nothing beside others."""
         self.by_law: set[str] = set()
@@ -207,14 +208,19 @@ class Rounds:
             self.state = replace(state, models=later)
             self.settle(*self.together(self.state, state.taken))
 
+    @property
+    def as_well(self) -> set[str]:
+        """What went in, and what could not be told from it at first."""
+        inside = {effect.effect for effect in self.state.taken}
+        return inside.union(*(names for names in self.alike if names & (inside | self.stood_in)))
+
     def of_library(self) -> bool:
         """Add what the library names anew; whether there was something."""
         # what came to nothing beside some may be something beside others
-        state, inside, new = self.state, {effect.effect for effect in self.state.taken}, []
-        known = {*(name for name, n in self.nothing.items() if n > 1), *inside}
+        state, new = self.state, []
+        known = {*(name for name, n in self.nothing.items() if n > 1), *self.as_well}
         for effect in state.last.effects:
-            told = {*effect.indistinguishable_from} or self.rivals.get(effect.effect, set()) & inside
-            if told or effect.effect in (*self.declined, *known):
+            if effect.indistinguishable_from or effect.effect in (*self.declined, *known):
                 continue
             if self.ask(effect, state.last):
                 new.append(effect)
@@ -261,6 +267,7 @@ class Rounds:
             self.nothing[formula] += 1
             return True
         self.by_law.add(name)
+        self.stood_in |= {*law.instead_of}
         self.asked[name] = law.energy_share
         self.state = beside
         self.settle(found, fitted)
@@ -357,7 +364,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         bool(heldout),
         first,
         last,
-        stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested)
+        stopped=words.stopped(last, rounds.declined, sorted(rounds.nothing), rounds.as_well, tested=not untested)
         + fed_note(last, battery, models.runs, heldout)
         + (straight_note(powers[f"+ {taken[-1].effect}"], models.runs, battery) if taken else "")
         + "".join(f" {one.effect}: {one.doubt}." for one in doubted if one.doubt),
@@ -366,34 +373,3 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         written=doubted,
         asked=rounds.asked,
     )
-
-
-def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str] = (), *, tested: bool = True) -> str:
-    unseen = unseen_note(last) if tested else ""
-    unsure = [e for e in last.effects if e.indistinguishable_from]
-    if unsure:
-        names = " or ".join((unsure[0].effect, *last.instead_of(unsure[0])))
-        drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
-        none = "neither" if len(unsure[0].indistinguishable_from) == 1 else "none of them"
-        return f"these data cannot tell {names}, so {none} is added.{drive}"
-    undecided = next((law for law in last.proposed_laws if law.open), None)
-    if undecided is not None:
-        names = " or ".join(map(plain, undecided.possible))
-        return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
-    if last.verdict == "unexplained_structure" and last.unexplained.shape:
-        told = f"something remains that {last.unnamed}: {last.unexplained.shape}."
-        return told + (f" Beside that, {unseen}." if unseen else "")
-    if named := [e.effect for e in last.effects if e.effect not in (*declined, *nothing)]:
-        return f"diagnose of the file names {' and '.join(named)} beside it: improve that file once more."
-    if declined:
-        return f"declined: {', '.join(declined)}."
-    if unseen:
-        return f"{unseen}."
-    if nothing:
-        return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."
-    if last.unexplained.depends_on:
-        on = ", ".join(map(plain, last.unexplained.depends_on))
-        return f"no further effect is above the detection limits; what remains still varies with {on}."
-    if last.unexplained.shape:
-        return f"no further effect is above the detection limits; what remains: {last.unexplained.shape}."
-    return f"{NOTHING_LEFT}."

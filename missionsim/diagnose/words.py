@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 
 from missionsim.diagnose import sentences
@@ -17,6 +17,8 @@ from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.numerals import bare, meter_clock, p_told, rounded, watts
 
+NOTHING_LEFT = "nothing is left above the detection limits"
+AS_WELL = "which at first these data could not tell from what went in; it is not added"
 MOST_NOT_SEEN = 8
 INF = math.inf
 BLIND_SHARE = 0.5
@@ -264,3 +266,47 @@ def _unit(unit: str) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f}".replace("-", "−")
+
+
+def stopped(
+    last: BatteryDiagnosis,
+    declined: Sequence[str],
+    nothing: Sequence[str] = (),
+    as_well: Collection[str] = (),
+    *,
+    tested: bool = True,
+) -> str:
+    """Why `improve` goes no further: what was seen and not added, or that nothing is left.
+
+    `nothing`: what came to nothing beside the others; `as_well`: what could not be told at first from what went in;
+    `tested`: whether held-out runs can test what went in.
+    """
+    unseen = unseen_note(last) if tested else ""
+    unsure = [e for e in last.effects if e.indistinguishable_from]
+    if unsure:
+        names = " or ".join((unsure[0].effect, *last.instead_of(unsure[0])))
+        drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
+        none = "neither" if len(unsure[0].indistinguishable_from) == 1 else "none of them"
+        return f"these data cannot tell {names}, so {none} is added.{drive}"
+    undecided = next((law for law in last.proposed_laws if law.open), None)
+    if undecided is not None:
+        names = " or ".join(map(plain, undecided.possible))
+        return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
+    if last.verdict == "unexplained_structure" and last.unexplained.shape:
+        told = f"something remains that {last.unnamed}: {last.unexplained.shape}."
+        return told + (f" Beside that, {unseen}." if unseen else "")
+    if named := [e.effect for e in last.effects if e.effect not in (*declined, *nothing)]:
+        told = f"diagnose of the file names {' and '.join(named)} beside it"
+        return f"{told}: improve that file once more." if {*named} - {*as_well} else f"{told}, {AS_WELL}."
+    if declined:
+        return f"declined: {', '.join(declined)}."
+    if unseen:
+        return f"{unseen}."
+    if nothing:
+        return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."
+    if last.unexplained.depends_on:
+        on = ", ".join(map(plain, last.unexplained.depends_on))
+        return f"no further effect is above the detection limits; what remains still varies with {on}."
+    if last.unexplained.shape:
+        return f"no further effect is above the detection limits; what remains: {last.unexplained.shape}."
+    return f"{NOTHING_LEFT}."

@@ -48,6 +48,8 @@ SHRUNK = 0.75
 NO_WORSE = 1.01
 """An effect whose column is this like the law's, that keeps no more than this part of its size beside it and whose loss
 raises the error of left-out runs no further than this, stood in for it as well."""
+LEADS = 0.9
+"""So did one in whose place a law alone leaves less than this part of that error."""
 TWIN = 0.985
 OWN_METER = 0.99
 """Correlation with the measured power from which on a column is that power, or the current of it."""
@@ -245,7 +247,7 @@ def _law(one: Scored, first: Scored, share: float, relative: float, search: Sear
 
 def _replaced(fitted: Fitted, search: Search) -> tuple[str, ...]:
     """Effects that stood in for the law: with it they hardly act any more, or look like it, shrink, and predict runs
-    that are left out no better beside it."""
+    that are left out no better beside it, or look like it, and a law in the place of both predicts those better."""
     ground = search.ground
     if not ground.chosen:
         return ()
@@ -262,13 +264,20 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[str, ...]:
         like = max(
             abs(float(ground.design.phi[k] @ law)) / float(np.linalg.norm(ground.design.phi[k])) for k in columns
         )
-        if like > AKIN and now < SHRUNK * was:
-            alone = Search(ground.without((*out, name)), search.grammar, search.memory)
+        if like <= AKIN:
+            continue
+        alone = Search(ground.without((*out, name)), search.grammar, search.memory)
+        if now < SHRUNK * was:
             same = alone.fit(fitted.form)
             # one law of one quantity: what bends an effect is another form alone
             bent = alone.fit(alone.near(same, alone.sized([fitted.form]))[0].form, same.model.noise)
             if min(same.errors.with_law, bent.errors.with_law) < NO_WORSE * fitted.errors.with_law:
                 out.append(name)
+                continue
+        # of a wrong form beside what is left of it
+        other = alone.best()
+        if other is not None and other.best.errors.with_law < LEADS * fitted.errors.with_law:
+            out.append(name)
     return tuple(out)
 
 

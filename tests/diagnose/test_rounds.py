@@ -12,6 +12,7 @@ import pytest
 from missionsim.diagnose import diagnosis, improve
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
+from missionsim.diagnose.words import AS_WELL, stopped
 from missionsim.effects.model import ModelParameter
 from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
@@ -45,7 +46,8 @@ def rounds(models: Told, seen: Sequence[Sequence[str]], clocks: Sequence[Clock |
     """Rounds in which the diagnoses name some effects, one tuple after another, and the fits are not made."""
     told = [replace(BATTERY, effects=named(*names)) for names in seen]
     told = [replace(one, clock=clock) for one, clock in zip(told, clocks or [None] * len(told), strict=True)]
-    start = State("file", "file", models, None, told.pop(0))  # type: ignore[arg-type]
+    seen_first = SimpleNamespace(found=SimpleNamespace(effects=told[0].effects))
+    start = State("file", "file", models, seen_first, told.pop(0))  # type: ignore[arg-type]
     made = Rounds(start, None, "robot", None, lambda finding, diagnosis: True, {})  # type: ignore[arg-type]
 
     def settle(effects: Sequence[Finding], fitted: object) -> None:
@@ -84,9 +86,19 @@ def test_what_these_data_could_not_tell_from_what_went_in_does_not_go_in_after_i
     the error of further runs from 12.4 to 14.8 W."""
     unsure = replace(GRADE, effect="floor", indistinguishable_from=(rival,))
     made = rounds(Told({("drag",): 9.0, ("drag", "floor"): 5.0}), [("drag",), ("floor",), ()])
-    start = replace(made.state, last=replace(made.state.last, effects=(*made.state.last.effects, unsure)))
-    made.state, made.rivals = start, Rounds(start, *[None] * 5).rivals  # type: ignore[arg-type]
+    made.alike = [{one.effect, *one.indistinguishable_from} for one in (unsure,)]
     assert tuple(effect.effect for effect in made.best().taken) == added
+
+
+def test_nor_does_it_after_a_law_in_whose_place_it_stood() -> None:
+    """Drag or conversion stood for a load that begins at a speed; once its law was in, conversion came on top of it."""
+    made = rounds(Told({("law_speed",): 9.0}), [("conversion_loss",)])
+    made.alike, made.stood_in = [{"aerodynamic_drag", "conversion_loss"}], {"aerodynamic_drag"}
+    made.state = replace(made.state, taken=named("law_speed"))
+    assert not made.of_library()
+    assert made.as_well == {"law_speed", "aerodynamic_drag", "conversion_loss"}
+    told = stopped(replace(BATTERY, effects=named("conversion_loss")), (), (), made.as_well)
+    assert told == f"diagnose of the file names conversion_loss beside it, {AS_WELL}."
 
 
 def test_something_new_in_the_library_sends_laws_away_once() -> None:

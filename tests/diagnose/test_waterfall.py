@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import sentences, words
-from missionsim.diagnose.improve import Improved, _why
+from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import (
     Step,
     clearly_better,
@@ -22,6 +22,7 @@ from missionsim.diagnose.waterfall import (
     unseen_note,
     worse_note,
 )
+from missionsim.diagnose.words import stopped
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.identify.noise import mean_variance
 from missionsim.report.diagnosis_page import diagnosis_page, improve_page
@@ -81,10 +82,10 @@ def test_energy_note_weighs_the_rise_against_the_floor(after_pct: float, runs: i
 @pytest.mark.parametrize("left", [WANDERS, Unexplained(0.1, ("slope_rad",), "residual varies with slope_rad")])
 def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
     quiet = replace(BATTERY, verdict="effects_found", unexplained=left)
-    assert left.shape in _why(replace(quiet, verdict="unexplained_structure"), ())
-    assert _why(NONE_NAMED, ()) == "nothing is left above the detection limits."
-    assert _why(BATTERY, ()) == "diagnose of the file names grade beside it: improve that file once more."
-    told = _why(replace(quiet, effects=()), ())
+    assert left.shape in stopped(replace(quiet, verdict="unexplained_structure"), ())
+    assert stopped(NONE_NAMED, ()) == "nothing is left above the detection limits."
+    assert stopped(BATTERY, ()) == "diagnose of the file names grade beside it: improve that file once more."
+    told = stopped(replace(quiet, effects=()), ())
     assert "what remains" in told
     assert "nothing is left" not in told
     assert left.shape in words.headline(quiet)
@@ -198,12 +199,12 @@ def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> Non
     """1.2 % is the floor of these logs: runs that are hotter than all that were fitted, 20 % off."""
     quiet = replace(NONE_NAMED, runs=("a", "b", "c", "d"))
     assert "No evidence of anything missing" in words.headline(quiet)
-    assert _why(quiet, ()) == "nothing is left above the detection limits."
+    assert stopped(quiet, ()) == "nothing is left above the detection limits."
     held = HeldOut("the last run", ("run_05",), {"nominal": 20.0, "recalibrated": 20.6, "with_effects": 20.6}, HELD)
     far = replace(quiet, heldout=held)
     shaped = replace(far, verdict="unexplained_structure", unexplained=replace(far.unexplained, shape="a load"))
-    assert "a load" in _why(shaped, ())
-    for told in (words.headline(far), _why(far, ()), _why(shaped, ())):
+    assert "a load" in stopped(shaped, ())
+    for told in (words.headline(far), stopped(far, ()), stopped(shaped, ())):
         assert "something is missing that the fitted runs do not show" in told
         assert "20.0 %" in told
         assert "evidence" not in told
@@ -229,8 +230,8 @@ def test_a_model_beside_which_something_remains_is_not_good() -> None:
     done = improved(0.1)
     left = "something remains that the library does not contain: a load."
     assert "verdict warn" in improve_page("r", [replace(done, stopped=left)])
-    assert "verdict good" in improve_page("r", [replace(done, stopped=_why(NONE_NAMED, ()))])
-    assert "verdict bad" in improve_page("r", [replace(improved(3.0), stopped=_why(NONE_NAMED, ()))])
+    assert "verdict good" in improve_page("r", [replace(done, stopped=stopped(NONE_NAMED, ()))])
+    assert "verdict bad" in improve_page("r", [replace(improved(3.0), stopped=stopped(NONE_NAMED, ()))])
 
 
 def test_a_noise_floor_that_no_model_is_above_is_told_as_a_bound() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from missionsim.compare import Where
 from missionsim.diagnose import adopt, sentences, words
-from missionsim.diagnose.improve import _why
+from missionsim.diagnose.words import stopped
 from missionsim.files import to_json
 from missionsim.identify.findings import (
     BatteryDiagnosis,
@@ -122,7 +122,7 @@ def test_what_may_be_a_misfit_of_an_effect_that_is_named_may_be_another_form_of_
     either = "surface_rolling_resistance or another form of grade"
     assert f"{either}. These data cannot tell which." in words.headline(battery)
     assert "UNSURE surface_rolling_resistance OR another form of grade, 5.0 % of energy" in text(battery)
-    assert _why(battery, []).startswith(f"these data cannot tell {either}, so neither is added.")
+    assert stopped(battery, []).startswith(f"these data cannot tell {either}, so neither is added.")
     # what is sure is what is named
     assert sentences.sure(battery) == sentences.sure(BATTERY)
 

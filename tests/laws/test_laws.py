@@ -14,8 +14,8 @@ import pytest
 
 from missionsim.cli.app import run_command as main
 from missionsim.diagnose import sentences
-from missionsim.diagnose.improve import _why
 from missionsim.diagnose.proposed import formula_of, with_candidate
+from missionsim.diagnose.words import stopped
 from missionsim.effects.base_terms import expression_term
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
@@ -258,7 +258,7 @@ def test_a_law_whose_quantity_is_open_is_not_added(
     last = SimpleNamespace(effects=(), proposed_laws=(told,), verdict="unexplained_structure", battery="main",
                            unexplained=left, unnamed="", next_experiments=(), heldout=None)  # fmt: skip
     assert (
-        f"{plain(first[-1])} or {plain(other[-1])}, so it is not added. Next: 3 min at" in _why(last, ())
+        f"{plain(first[-1])} or {plain(other[-1])}, so it is not added. Next: 3 min at" in stopped(last, ())
     ) is undecided
     assert ("add-effect" in sentences.next_step(last, sentences.Asked("robot.yaml", ["train"]))) is not undecided
 
