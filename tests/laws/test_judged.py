@@ -276,19 +276,23 @@ def _plainest(
 
 
 @pytest.mark.parametrize(
-    ("now", "alike", "worse", "bent", "gone"),
+    ("now", "alike", "worse", "bent", "anew", "gone"),
     [
-        (0.066, 0.0, 1.5, 1.5, True),  # a third of what it was: hardly acts any more
-        (0.075, 0.0, 1.005, 1.5, False),
-        (0.145, 0.45, 1.005, 1.5, True),  # shrunk, like the law, and not missed
-        (0.145, 0.45, 1.015, 1.5, False),
-        (0.145, 0.45, 1.5, 1.005, True),  # not missed beside another number in the law
-        (0.145, 0.35, 1.005, 1.5, False),
-        (0.155, 0.45, 1.005, 1.5, False),
+        (0.066, 0.0, 1.5, 1.5, 1.5, True),  # a third of what it was: hardly acts any more
+        (0.075, 0.0, 1.005, 1.5, 1.5, False),
+        (0.145, 0.45, 1.005, 1.5, 1.5, True),  # shrunk, like the law, and not missed
+        (0.145, 0.45, 1.015, 1.5, 1.5, False),
+        (0.145, 0.45, 1.5, 1.005, 1.5, True),  # not missed beside another number in the law
+        (0.145, 0.35, 1.005, 1.5, 1.5, False),
+        (0.155, 0.45, 1.005, 1.5, 1.5, False),
+        (0.19, 0.45, 1.5, 1.5, 0.89, True),  # a law in the place of both predicts better
+        (0.145, 0.45, 1.5, 1.5, 0.89, True),
+        (0.19, 0.45, 1.5, 1.5, 0.91, False),
+        (0.19, 0.35, 1.5, 1.5, 0.5, False),
     ],
 )
 def test_what_stood_in_for_a_law_goes(
-    monkeypatch: pytest.MonkeyPatch, now: float, alike: float, worse: float, bent: float, gone: bool
+    monkeypatch: pytest.MonkeyPatch, now: float, alike: float, worse: float, bent: float, anew: float, gone: bool
 ) -> None:
     """Turning scrub of 20 % beside a law that saturates with the turn rate."""
 
@@ -301,13 +305,14 @@ def test_what_stood_in_for_a_law_goes(
     phi = (alike * law + np.sqrt(1.0 - alike**2) * other)[None]
     ground = SimpleNamespace(chosen=(0,), model=model(0.2), design=SimpleNamespace(phi=phi), held=(("scrub", (0,)),))
     ground.without = lambda _: None
-    near, errors = [SimpleNamespace(form=(1,))], {(0,): worse, (1,): bent}
+    near, errors = [SimpleNamespace(form=(1,))], {(0,): worse, (1,): bent, (2,): anew}
 
     def fit(form: tuple[int, ...], noise: None = None) -> SimpleNamespace:
         own = SimpleNamespace(noise=None)
         return SimpleNamespace(form=form, model=own, errors=SimpleNamespace(with_law=errors[form]))
 
     alone = SimpleNamespace(fit=fit, near=lambda *_: near, sized=lambda forms: forms)
+    alone.best = lambda: SimpleNamespace(best=fit((2,)))
     monkeypatch.setattr(proposal, "Search", lambda *_: alone)
     fitted = SimpleNamespace(model=model(now, 0.3), watts=law, errors=SimpleNamespace(with_law=1.0), form=(0,))
     search = SimpleNamespace(ground=ground, grammar=None, memory=False)
