@@ -165,7 +165,7 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
     if b.has("yaw_rate_rad_s"):
         _turning(b, "yaw_rate_rad_s")
     if b.has("lateral_speed_m_s"):
-        b.powers("lateral_speed_m_s", "abs(lateral_speed_m_s)", "|u|", (1, 2))
+        b.powers("lateral_speed_m_s", "abs(lateral_speed_m_s)", "|u|", (1, 2), fine=True)
     for name in ("accel_m_s2", "slope_rad"):
         if b.has(name):  # one-sided parts, size and square of what goes both ways
             symbol = SYMBOLS[name]
@@ -236,6 +236,8 @@ def _speeds(b: _Builder, name: str) -> None:
     if low <= 0.0:
         return
     b.family(name, f"max({text} - #, 0)", "(v − #)₊", 2, levels, (middle, high))
+    # a gait or a gear that changes at a speed
+    b.family(name, f"({text} > #)", "[v > #]", 2, [*levels, *0.5 * np.add(levels[1:], levels[:-1])], (middle,))
     b.family(name, f"tanh({text} / #)", "tanh(v/#)", 2, low * BENDS_AT, (low,))
     falling = (f"{moves} * exp(-{text} / #)", "[moving]·exp(−v/#)")
     b.family(name, *falling, 2, low * BENDS_AT, (0.5 * low,))

@@ -1,0 +1,41 @@
+"""A load that begins at a speed, as of a gait or a gear, is that step: no effect, and no bump beside one."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from missionsim.diagnose import Subject
+from missionsim.diagnose.diagnosis import diagnose
+from missionsim.inputs.loading import load_robot
+from missionsim.laws.factors import make_grammar
+from tests.diagnose.logs import drawing, drive
+
+
+def test_a_load_that_begins_at_a_speed_is_a_step_and_no_friction() -> None:
+    """It was viscous friction, surely, and a bump beside it."""
+    logs = []
+    for seed in range(4):
+        rng, rows = np.random.default_rng(50 + seed), 300
+        speed = np.repeat(rng.uniform(0.1, 0.8, rows // 10), 10)
+        log = drive(seed, seconds=float(rows))
+        motion = 6.25 * speed**2 + 9.79 * speed + 3.66 + 3.0 * (speed > 0.52)
+        power = motion + 2.34 + 2.82 * log.columns["on_kinect"] + rng.normal(0.0, 0.1, rows)
+        columns = log.columns | {"speed_m_s": speed, "yaw_rate_rad_s": np.zeros(rows)}
+        logs.append(drawing(replace(log, columns=columns), power))
+    found = diagnose(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
+    assert found.effects == ()
+    law = found.proposed_laws[0]
+    assert law.instead_of == ("viscous_friction",)
+    begins = re.fullmatch(r"k \* \(abs\(speed_m_s\) > ([\d.]+)\)", law.first.formula)
+    assert begins is not None
+    assert float(begins[1]) == pytest.approx(0.52, abs=0.02)
+    assert law.first.k == pytest.approx(3.0, abs=0.3)
+
+
+def test_sideways_speed_has_powers_between_whole_ones() -> None:
+    run = {"time_s": np.arange(100.0), "lateral_speed_m_s": np.linspace(-0.4, 0.4, 100)}
+    assert "abs(lateral_speed_m_s)**1.5" in {factor.text for factor in make_grammar([run]).factors}
