@@ -46,6 +46,18 @@ def effects_alone(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr("missionsim.diagnose.examine.propose", lambda *_: None)
 
 
+@pytest.fixture
+def laws_at_once(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No search for laws that remember, the other half of what a law costs; `tests/laws/test_lag.py` is about them."""
+    from missionsim.laws import proposal
+
+    if request.node.get_closest_marker("study") is None:
+        found = proposal._propose
+        monkeypatch.setattr(
+            proposal, "_propose", lambda g, f, memory, i, **m: None if memory else found(g, f, memory, i, **m)
+        )
+
+
 def _told(value: Any) -> Any:
     """A value as what can be compared as text, whatever object holds it."""
     if isinstance(value, np.ndarray):

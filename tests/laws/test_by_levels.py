@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 
 from missionsim.diagnose import Subject
 from missionsim.diagnose.diagnosis import diagnose
@@ -24,9 +25,9 @@ FLOORS = {"snow": 9.0, "carpet": 5.0, "tile": 1.5}
 
 
 def diagnosed(levels: dict[str, float]) -> BatteryDiagnosis:
-    """Nine runs, three on each floor, with a load of so many W at full turn, and one on ice without a turn."""
+    """Six runs, two on each floor, with a load of so many W at full turn, and one on ice without a turn."""
     logs: list[Run] = []
-    for seed in range(9):
+    for seed in range(6):
         floor = list(levels)[seed % len(levels)]
         log = drive(seed, noise=0.02, seconds=200.0, surface=[floor] * 200)
         power = log.power_w["robot"] + levels[floor] * np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
@@ -35,6 +36,7 @@ def diagnosed(levels: dict[str, float]) -> BatteryDiagnosis:
     return diagnose(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
 
 
+@pytest.mark.usefixtures("laws_at_once")
 def test_each_floor_has_its_part_of_the_highest() -> None:
     first = diagnosed(FLOORS).proposed_laws[0].first
     more = {floor: float(part) for part, floor in re.findall(r"([\d.]+) \* \(surface == '(\w+)'\)", first.formula)}
@@ -71,6 +73,7 @@ def test_what_floors_differ_by_need_not_show_in_what_they_have_in_common() -> No
     assert set(wider.grammar.variables(done.best.form)) == {"yaw_rate_rad_s", "surface"}
 
 
+@pytest.mark.usefixtures("laws_at_once")
 def test_floors_that_are_alike_have_no_levels() -> None:
     laws = diagnosed(dict.fromkeys(FLOORS, 5.0)).proposed_laws
     assert not [law for law in laws if "surface" in law.first.formula]

@@ -103,7 +103,7 @@ def test_a_load_with_a_memory_is_found_written_and_simulated(tmp_path: Path, mon
 
 def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:
     # standing with a load looks like slowing down long ago; each law's own noise made its left-out errors its own too
-    report, _ = diagnose(*make("rest_payload", 3).write(tmp_path))
+    report, _ = diagnose(*make("rest_payload", 3, runs=5, heldout=1, duration_s=150.0).write(tmp_path))
     first = report["proposed_laws"][0]["forms"][0]
     assert first["formula"] == "k * (1 - (abs(speed_m_s) >= 0.005 or abs(yaw_rate_rad_s) >= 0.02)) * payload_kg"
 

@@ -17,6 +17,10 @@ from missionsim.planner.chance import plan_task
 TWO = "visits=[{place: pump, inspect: 20 s}, {place: shed, wait: 10 s}]"
 
 
+FEW = ("choose.speeds=[0.6, 1.0]", "choose.schemes=[mapped]")
+"""Enough where the choice is not what is asked."""
+
+
 def plan(root: Path, tmp_path: Path, *settings: str, task: str = "inspection", code: int = 0) -> dict:
     """JSON of a plan."""
     chosen = [part for text in settings for part in ("--set", text)]
@@ -36,16 +40,16 @@ def test_one_more_choice_is_never_worse_and_a_tighter_limit_never_better(root: P
 
 
 def test_no_plan_names_what_would_do_and_it_does(root: Path, tmp_path: Path) -> None:
-    none = plan(root, tmp_path, TWO, "within.deadline=4 min", code=1)
+    none = plan(root, tmp_path, TWO, *FEW, "within.deadline=4 min", code=1)
     assert not none["feasible"]
     assert [item["what"] for item in none["why"]["short"]] == ["time"]
     change = next(item for item in none["why"]["would_do"] if item["change"] == "within.deadline")
-    assert plan(root, tmp_path, TWO, f"within.deadline={change['to'] * (1 + 1e-9)} s")["feasible"]
+    assert plan(root, tmp_path, TWO, *FEW, f"within.deadline={change['to'] * (1 + 1e-9)} s")["feasible"]
     small = "robot.batteries.drive.capacity=5 Wh"
-    none = plan(root, tmp_path, TWO, small, code=1)
+    none = plan(root, tmp_path, TWO, *FEW, small, code=1)
     change = next(item for item in none["why"]["would_do"] if item["change"].endswith("drive.capacity"))
     assert none["why"]["short"][0]["what"] == "drive"
-    assert plan(root, tmp_path, TWO, f"{change['change']}={change['to'] * (1 + 1e-9)} Wh")["feasible"]
+    assert plan(root, tmp_path, TWO, *FEW, f"{change['change']}={change['to'] * (1 + 1e-9)} Wh")["feasible"]
 
 
 def test_where_no_plan_is_as_sure_as_asked_what_is_sure_would_do(root: Path, tmp_path: Path) -> None:
@@ -59,16 +63,16 @@ def test_where_no_plan_is_as_sure_as_asked_what_is_sure_would_do(root: Path, tmp
 
 
 def test_no_plan_says_what_start_would_do_and_what_of_rounds(root: Path, tmp_path: Path) -> None:
-    low = plan(root, tmp_path, TWO, "initial_charge={drive: 22 %}", code=1)
+    low = plan(root, tmp_path, TWO, *FEW, "initial_charge={drive: 22 %}", code=1)
     change = next(item for item in low["why"]["would_do"] if item["change"] == "initial_charge.drive")
-    assert plan(root, tmp_path, TWO, f"initial_charge={{drive: {change['to'] * (1 + 1e-9)}}}")["feasible"]
+    assert plan(root, tmp_path, TWO, *FEW, f"initial_charge={{drive: {change['to'] * (1 + 1e-9)}}}")["feasible"]
     few = ("choose.speeds=[0.9]", "choose.schemes=[mapped]")
     none = plan(root, tmp_path, "repeat={rounds: 5, until: 20 min}", *few, task="shift", code=1)
     by = {item["change"]: item["to"] for item in none["why"]["would_do"]}
     end = f"{{rounds: 5, until: {by['repeat.until'] * (1 + 1e-9)} s}}"
     for repeat in (f"{{rounds: {by['repeat.rounds']}, until: 20 min}}", end):
         assert plan(root, tmp_path, f"repeat={repeat}", *few, task="shift")["feasible"]
-    longer = plan(root, tmp_path, TWO, "visits=[{place: pump, inspect: 90 h}]", code=1)
+    longer = plan(root, tmp_path, "visits=[{place: pump, inspect: 90 h}]", code=1)
     told = " ".join(longer["why"]["text"])
     assert 322_500.0 < float(told.split("time: ")[1].split(" s")[0]) < 325_000.0
     assert "battery 'drive': " in told
@@ -310,10 +314,10 @@ def test_what_would_do_where_the_load_is_too_much_or_too_little(
 def test_of_two_windows_that_cannot_both_be_kept_one_ends_later(root: Path, tmp_path: Path) -> None:
     visits = "visits=[{place: tank, window: {until: %s s}}, {place: well, window: {until: %s s}}]"
     times = [150.0, 150.0]
-    changes = plan(root, tmp_path, visits % tuple(times), "within.deadline=1 h", code=1)["why"]["would_do"]
+    changes = plan(root, tmp_path, visits % tuple(times), *FEW, "within.deadline=1 h", code=1)["why"]["would_do"]
     number, found = next((i, c) for i in (0, 1) for c in changes if c["change"] == f"visits.{i}.window.until")
     times[number] = found["to"] * (1 + 1e-9)
-    assert plan(root, tmp_path, visits % tuple(times), "within.deadline=1 h")["feasible"]
+    assert plan(root, tmp_path, visits % tuple(times), *FEW, "within.deadline=1 h")["feasible"]
 
 
 def test_python_plans_rounds_as_the_command_does(root: Path, tmp_path: Path) -> None:

@@ -134,9 +134,9 @@ def test_each_of_the_warthogs_drives_is_predicted_from_the_others(warthog: list[
 @pytest.mark.usefixtures("effects_alone")
 def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called_sure(shared: Path) -> None:
     """A base that lacks what turning costs falls with the speed: what bends it back is a curve, and no friction."""
-    split = split_of(shared / "data" / "husky_floors")
-    made = calibrate_new(NewRobot("own", "k1*v + k0", mass="50 kg", drive="skid_steer"), split.train)
-    found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
+    logs = read_logs([shared / "data" / "husky_floors" / "train"])
+    made = calibrate_new(NewRobot("own", "k1*v + k0", mass="50 kg", drive="skid_steer"), logs)
+    found = diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
     told = {effect.effect: effect.doubt for effect in found.effects}
     assert "k1 of the base falls below nothing" in told["viscous_friction"]
     assert "k1" not in told["surface_rolling_resistance"]

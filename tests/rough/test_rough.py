@@ -59,6 +59,7 @@ def test_a_noisy_speed_at_ten_hertz_does_not_hide_the_inertia() -> None:
     assert list(case(REGIMES["10 Hz"], "acceleration", 0.05, 0)["named"]) == ["acceleration"]
 
 
+@pytest.mark.usefixtures("laws_at_once")
 def test_no_effect_is_named_beside_a_law_that_needs_none(tmp_path: Path) -> None:
     """A robot that skids above a turn rate: the laser, which is always on, was named with a power below nought."""
     folder = write_case(make(ALL_CASES["outside-skid"], 1010), tmp_path)
