@@ -11,6 +11,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -113,8 +114,10 @@ def test_diagnosis_beside_simpler_methods_on_equal_rows(folder: Path) -> None:
         assert seconds["missionsim"] < most * seconds[name]
 
 
-def test_time_grows_no_faster_than_rows(folder: Path, in_turns: InTurns) -> None:
-    logs = sorted((folder / "train").glob("*.csv"))[:4]
+def test_time_grows_no_faster_than_rows(tmp_path: Path, in_turns: InTurns) -> None:
+    logs = sorted(
+        (write(make(replace(GRADE, runs=4, heldout=1, duration_s=300.0), 3), tmp_path) / "train").glob("*.csv")
+    )
 
     def named(runs: int) -> None:
         found = diagnose_files("pioneer3dx", logs[:runs], holdout="none").batteries["robot"]

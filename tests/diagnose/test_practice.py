@@ -48,6 +48,7 @@ def test_confounded_names_both_and_proposes_to_vary_one(shared: Path, case: str)
     assert experiment.expected_power > 0.9
 
 
+@pytest.mark.usefixtures("laws_at_once")
 def test_a_form_that_the_library_does_not_have_is_not_named(shared: Path) -> None:
     found = diagnosis(shared, "outside-om_v2")
     assert found.verdict == "unexplained_structure"

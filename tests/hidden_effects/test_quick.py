@@ -6,6 +6,7 @@ Marked `study` is what a quick test elsewhere holds as well: names of further ef
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,6 +35,18 @@ def row(case: str, seed: int = 1) -> dict:
     return result
 
 
+@cache
+def told(case: str, seed: int = 1) -> dict:
+    """The same without the errors of the nominal model and of the truth, and without experiments."""
+    with TemporaryDirectory() as scratch:
+        world = make(ALL_CASES[case], seed)
+        folder = write(world, Path(scratch))
+        mission = folder / "mission.yaml"
+        given = mission if mission.exists() else None
+        outcome, _ = diagnose(folder / "train", folder / "heldout", world.case.robot, given)
+    return judge(case, seed, world.answer, outcome)
+
+
 def study(*values: str) -> list[Any]:
     return [pytest.param(value, marks=pytest.mark.study) for value in values]
 
@@ -44,7 +57,7 @@ EFFECTS = pytest.mark.usefixtures("effects_alone")
 
 @pytest.mark.parametrize("robot", ["pioneer3dx", *study("small_rover", "husky_like")])
 def test_nothing_hidden_names_nothing(robot):
-    result = row(f"nothing-{robot}-level2", 0)
+    result = told(f"nothing-{robot}-level2", 0)
     assert result["named"] == ""
     assert result["verdict"] == "nothing_missing"
 
@@ -85,7 +98,7 @@ def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
 @EFFECTS
 def test_what_stands_in_for_a_plan_that_is_not_kept_is_not_named() -> None:
     """Copper loss comes in, and its form is not right: what decides against it is that judgement."""
-    assert row("execution-dwell-3pct", 1010)["named"] == "dwell"
+    assert told("execution-dwell-3pct", 1010)["named"] == "dwell"
 
 
 def test_surges_that_the_clock_without_them_had_smeared_are_named():
@@ -134,7 +147,7 @@ def test_what_no_library_holds_is_not_named(what):
 @EFFECTS
 @pytest.mark.parametrize("variant", ["energy", "two-runs"])
 def test_other_meters_and_few_runs(variant):
-    result = row(f"turning_scrub-5pct-{variant}")
+    result = told(f"turning_scrub-5pct-{variant}")
     assert result["first_right"], result
     assert not result["confident_wrong"], result
 
@@ -142,7 +155,7 @@ def test_other_meters_and_few_runs(variant):
 @EFFECTS
 @pytest.mark.parametrize("name", ["dwell", *study("path_stretch", "speed_tracking")])
 def test_behaviour_effects_are_found_from_the_plan_and_the_motion(name):
-    result = row(f"execution-{name}-8pct")
+    result = told(f"execution-{name}-8pct")
     assert name in result["named"].split(), result
     assert not result["confident_wrong"], result
 
@@ -153,7 +166,7 @@ def test_nothing_planned_names_no_behaviour():
 
 
 def test_the_same_case_twice_gives_the_same_report(tmp_path):
-    folder = write(make(ALL_CASES["grade-5pct-two-runs"], 2), tmp_path)
+    folder = write(make(replace(ALL_CASES["grade-5pct-two-runs"], duration_s=200.0), 2), tmp_path)
     first, second = (diagnose(folder / "train", folder / "heldout", "pioneer3dx")[1] for _ in range(2))
     assert first == second
 
@@ -174,7 +187,7 @@ def test_table_is_written_whole(root: Path, tmp_path):
 def test_practice_folders_are_scored_by_the_same_command(shared: Path, tmp_path):
     case = shared / "practice" / "grade-5pct"
     (tmp_path / case.name / "train").mkdir(parents=True)
-    for log in sorted((case / "train").iterdir())[:5]:
+    for log in sorted((case / "train").iterdir())[:4]:
         (tmp_path / case.name / "train" / log.name).symlink_to(log)
     for name in ("heldout", "answer.json"):
         (tmp_path / case.name / name).symlink_to(case / name)

@@ -130,6 +130,7 @@ def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
     assert made.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
 
 
+@pytest.mark.usefixtures("laws_at_once")
 def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -> None:
     """A camera, on and off, beside a base with a power at rest and a slow meter: likelihood alone lets the level go
     that all runs share, and blames the rows in which the robot stops."""
@@ -154,6 +155,7 @@ def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -
     assert made.first.k == pytest.approx(2.2, rel=0.1)
 
 
+@pytest.mark.usefixtures("laws_at_once")
 def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
     """A processor whose load costs more from 60 % on: how its cost goes with the load itself, the file says."""
     rng, runs = np.random.default_rng(4), []

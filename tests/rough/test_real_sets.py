@@ -144,7 +144,7 @@ def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called
     assert "that it is viscous_friction is not" in sure(found)
 
 
-@pytest.mark.usefixtures("shared")
+@pytest.mark.usefixtures("shared", "laws_at_once")
 def test_turning_at_speed_beside_inertia_is_not_called_scrub(tmp_path: Path) -> None:
     """Scrub stood in for it and left it too little to show over four runs: 86 W where least squares has 45."""
     drives, _ = make("warthog", 47)
