@@ -58,6 +58,8 @@ class Improved:
     """What was added, as the file has it."""
     asked: Mapping[str, float] = field(default_factory=dict)
     """Part of the energy that each had when it came in, before what came later."""
+    formulas: Mapping[str, str] = field(default_factory=dict)
+    """Of the laws that were added."""
 
     @property
     def told(self) -> str:
@@ -67,7 +69,8 @@ class Improved:
             before, now = self.asked.get(one.effect, one.net), one.net
             changed = abs(now - before) > MOVED * max(abs(now), abs(before))
             more = f", {100 * before:.1f} % when it was found" if changed else ""
-            parts.append(f"{one.effect} ({100 * now:.1f} % of the energy{more})".replace("-", "−"))
+            formula = f", {self.formulas[one.effect]}" if one.effect in self.formulas else ""
+            parts.append(f"{one.effect}{formula} ({100 * now:.1f} % of the energy{more})".replace("-", "−"))
         return ", ".join(parts or self.added) or "nothing"
 
     def to_json(self) -> Json:
@@ -166,7 +169,8 @@ class Rounds:
         """Effects in whose place a law went in."""
         self.nothing = Counter[str]()
         """How often each came to nothing beside others."""
-        self.by_law: set[str] = set()
+        self.by_law: dict[str, str] = {}
+        """Formulas of the laws that went in."""
         self.asked: dict[str, float] = {}
         """Part of the energy that each had when it came in."""
         self.again = False
@@ -266,7 +270,7 @@ class Rounds:
         if k is None or k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
             self.nothing[formula] += 1
             return True
-        self.by_law.add(name)
+        self.by_law[name] = formula
         self.stood_in |= {*law.instead_of}
         self.asked[name] = law.energy_share
         self.state = beside
@@ -372,4 +376,5 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         base_alone=base_alone,
         written=doubted,
         asked=rounds.asked,
+        formulas=rounds.by_law,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -31,6 +32,7 @@ _SHORT = {
     "time_s": "time",
     "moving_time_s": "moving_time",
 }
+_MOVING = re.compile(r"\(abs\(speed_m_s\) >= [\d.]+ or abs\(yaw_rate_rad_s\) >= [\d.]+\)")
 _OF_DRIVE = frozenset({"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"})
 PROPOSED = "proposed: no effect of the library fits"
 
@@ -74,6 +76,7 @@ def with_law(models: Models, name: str, formula: str) -> Models:
 
 def law_name(formula: str) -> str:
     """A name for a law that goes into a robot file: ``law_speed_turning_payload``."""
+    formula = _MOVING.sub("speed_m_s", formula)  # which reads the turn rate, and is not about it
     names = compile_expression(formula).names - {"k"}
     words = [_SHORT.get(name, name) for name in sorted(names, key=formula.index)]
     return "_".join(["law", *words])[:60]

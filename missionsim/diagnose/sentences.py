@@ -183,7 +183,8 @@ def sure(battery: BatteryDiagnosis) -> str:
     form = "its form is an approximation within the band"
     if len(one.laws) > 1:
         behind = max(law.behind_nats for law in one.laws)
-        alike = "fit alike" if behind < ODDS_NATS else f"come near, the last {behind:.0f} nats behind"
+        part = math.ceil(100.0 * behind / max(one.rise_nats, 1e-300))
+        alike = "fit alike" if behind < ODDS_NATS else f"come within {part} % of the best"
         form = f"{len(one.laws)} forms {alike}, so trust the curve and its band, not one formula"
     return (
         f"{told}; {form}. {one.better} of {one.runs} left-out {battery.parts} in which it acts are predicted better; "
@@ -193,7 +194,9 @@ def sure(battery: BatteryDiagnosis) -> str:
 
 def worse(battery: BatteryDiagnosis) -> str:
     """In words, that held-out runs are predicted worse with what was found; else empty."""
-    return worse_note(bars_of(battery.heldout)) if battery.heldout is not None and battery.effects else ""
+    if battery.heldout is None or not (battery.effects or battery.proposed_laws):
+        return ""
+    return worse_note(bars_of(battery.heldout, battery.proposed_laws), what="what was found")
 
 
 def base_note(before: Step, recalibrated: Step) -> str:

@@ -144,19 +144,20 @@ def rises(bars: Sequence[Step]) -> tuple[bool, bool]:
     return power, bars[-1].energy_error_pct > SHOWN_PCT + max(bar.energy_error_pct for bar in bars[:2])
 
 
-def worse_note(bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = True) -> str:
+def worse_note(
+    bars: Sequence[Step], added: Sequence[str] = (), heldout: bool = True, what: str = "what was added"
+) -> str:
     """In words, which error of the last bar is worse, and how the other fares; empty where none is (see `rises`).
 
-    `bars`: errors of the file as it was, of a mere recalibration, and after each of `added`.
+    `bars`: errors of the file as it was, of a mere recalibration, and after each of `added`, or of `what` there is.
     """
     before, recalibrated, after = bars[0], bars[1], bars[-1]
     power, energy = rises(bars)
     if not (power or energy):
         return ""
     best = best_before(bars)
-    what = "what was added"
     told = f"from {watts(before.power_rmse_w)} ({watts(recalibrated.power_rmse_w)} recalibrated)"
-    if best > 1:
+    if best > 1 and added:
         late = added[best - 1 :]
         what = late[0] if len(late) == 1 else f"what came after {added[best - 2]}"
         told = f"from {rounded(bars[best].power_rmse_w)}" if power else told

@@ -99,7 +99,7 @@ class _Builder:
         numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
         first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
         for n in numbers:
-            written, shown = (x.replace("#", f"{n:g}") for x in (text, symbol))
+            written, shown = (_with(n, x) for x in (text, symbol))
             own = kind or f"{name} {text}"
             self.add(name, written, shown, rank, kind=own, numbers=(n, *more), fine=n not in first)
 
@@ -214,6 +214,13 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
             if further <= MOST_FURTHER:
                 (b.about_thresholds if TEMPERATURE.search(name) else partial(_further, b))(name)
     return Grammar(tuple(b.factors), tuple(b.values))
+
+
+def _with(number: float, text: str) -> str:
+    """A text with a number for its #; what takes a negative one away adds."""
+    for minus in "-−" if number < 0.0 else "":
+        text = text.replace(f"{minus} #", f"+ {-number:g}")
+    return text.replace("#", f"{number:g}")
 
 
 def _speeds(b: _Builder, name: str) -> None:

@@ -103,7 +103,7 @@ def test_nor_does_it_after_a_law_in_whose_place_it_stood() -> None:
 
 def test_something_new_in_the_library_sends_laws_away_once() -> None:
     made = rounds(Told({}), [("law_turning",), ("drag",), (), ("grade",), ()])
-    made.by_law.add("law_turning")
+    made.by_law["law_turning"] = "k * abs(yaw_rate_rad_s)"
     made.state = replace(made.state, given="file with law")
 
     def together(state: State, effects: Sequence[Finding], surest: int = 0) -> tuple[list[Finding], None]:
@@ -128,7 +128,7 @@ def test_something_new_in_the_library_sends_laws_away_once() -> None:
 def test_a_law_as_it_was_comes_back_where_no_other_form_predicts_as_well(both: float, kept: str) -> None:
     squares = {("law_turning",): 9.0, ("law_turning", "drag"): both, ("drag",): 5.0}
     made = rounds(Told({**squares, ("law_turning", "drag", "grade"): 2.0}), [("drag",), ("grade",), (), (), ()])
-    made.by_law.add("law_turning")
+    made.by_law["law_turning"] = "k * abs(yaw_rate_rad_s)"
     made.state = replace(made.state, taken=named("law_turning"), text="file law_turning")
     assert made.best().text == kept
 

@@ -48,6 +48,8 @@ def test_what_was_added_is_told_with_the_size_that_the_file_has() -> None:
     """And with the one that it was found with, where what came in later changed it."""
     done = replace(improved(0.1), written=(replace(GRADE, energy_share=0.045),))
     assert replace(done, asked={"grade": 0.199}).told == ("grade (4.5 % of the energy, 19.9 % when it was found)")
+    law = replace(done, formulas={"grade": "k * slope_rad"})
+    assert law.told == "grade, k * slope_rad (4.5 % of the energy)"
     done = replace(done, asked={"grade": 0.047})
     assert done.told == "grade (4.5 % of the energy)"
     assert "Added: grade (4.5 % of the energy). The power error" in improve_page("r", [done])
@@ -113,7 +115,7 @@ def test_runs_that_got_worse_are_told_first() -> None:
     worse = replace(BATTERY, heldout=held)
     told = sentences.worse(worse)
     assert told == (
-        "WORSE on runs that were not used to fit: what was added raises the energy error from 1.00 % (0.50 % "
+        "WORSE on runs that were not used to fit: what was found raises the energy error from 1.00 % (0.50 % "
         "recalibrated) to 1.20 %, while the power error falls from 1.30 W (1.20 W recalibrated) to 0.600 W."
     )
     assert words.headline(worse).startswith("WORSE")

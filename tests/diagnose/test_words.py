@@ -323,7 +323,7 @@ def test_several_effects_go_in_together_and_options_stay() -> None:
     beside = replace(BATTERY, effects=(GRADE, replace(GRADE, effect="acceleration")))
     told = "missionsim improve --robot own.yaml --battery robot --holdout later logs --out own_better.yaml"
     assert sentences.next_step(beside, asked, several=True) == told
-    law = SimpleNamespace(open=False)
+    law = SimpleNamespace(open=False, heldout_energy_pct=None, heldout_rmse_w=None)
     assert "improve" in sentences.next_step(replace(BATTERY, proposed_laws=(law,)), asked)
     law.open = True  # which is not added
     assert "add-effect" in sentences.next_step(replace(BATTERY, proposed_laws=(law,)), asked)

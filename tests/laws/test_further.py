@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from missionsim.diagnose.proposed import law_name
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.identification import identify
 from missionsim.laws.adapter import ground_of
@@ -69,6 +70,19 @@ def test_noise_about_nought_is_no_sign(lowest: float, powers: bool) -> None:
     read = {factor.text for factor in make_grammar([run]).factors}
     assert ("max(arm_torque, 0)**2" in read) is powers
     assert ("abs(arm_torque)" in read) is (lowest < -1.0)
+
+
+def test_what_takes_a_negative_number_away_adds() -> None:
+    wind = drives()[0] | {"headwind_m_s": np.linspace(-4.0, 3.0, 300)}
+    read = {factor.text for factor in make_grammar([wind]).factors}
+    assert "max(headwind_m_s + 2.6, 0)" in read
+    assert not [text for text in read if "- -" in text]
+
+
+def test_a_law_of_what_moves_is_not_called_one_of_turning() -> None:
+    moves = "(abs(speed_m_s) >= 0.005 or abs(yaw_rate_rad_s) >= 0.02)"
+    assert law_name(f"k * {moves} * exp(-abs(speed_m_s) / 3.3)") == "law_speed"
+    assert law_name(f"k * {moves} * abs(yaw_rate_rad_s)") == "law_speed_turning"
 
 
 def test_what_is_above_nought_is_no_second_form_of_what_never_falls_below() -> None:
