@@ -69,8 +69,9 @@ class Improved:
             before, now = self.asked.get(one.effect, one.net), one.net
             changed = abs(now - before) > MOVED * max(abs(now), abs(before))
             more = f", {100 * before:.1f} % when it was found" if changed else ""
+            size = f"({100 * now:.1f} % of the energy{more})".replace("-", "−")
             formula = f", {self.formulas[one.effect]}" if one.effect in self.formulas else ""
-            parts.append(f"{one.effect}{formula} ({100 * now:.1f} % of the energy{more})".replace("-", "−"))
+            parts.append(f"{one.effect}{formula} {size}")
         return ", ".join(parts or self.added) or "nothing"
 
     def to_json(self) -> Json:

@@ -337,7 +337,7 @@ def test_what_is_left_of_the_form_of_a_law_is_no_second_law(
 ) -> None:
     """One bent curve of processor load went in as three laws."""
     made, asked = rounds(Told({}), [()]), []
-    made.by_law.add("law_cpu_load_again")
+    made.by_law["law_cpu_load_again"] = "k * cpu_load"
     formula = f"k * max({column}, 0)"
     law = SimpleNamespace(first=SimpleNamespace(formula=formula), open=False, far_better=left < 2.0 / 3.0)
     monkeypatch.setattr(improve, "as_finding", lambda _: GRADE)

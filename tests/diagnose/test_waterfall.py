@@ -48,8 +48,8 @@ def test_what_was_added_is_told_with_the_size_that_the_file_has() -> None:
     """And with the one that it was found with, where what came in later changed it."""
     done = replace(improved(0.1), written=(replace(GRADE, energy_share=0.045),))
     assert replace(done, asked={"grade": 0.199}).told == ("grade (4.5 % of the energy, 19.9 % when it was found)")
-    law = replace(done, formulas={"grade": "k * slope_rad"})
-    assert law.told == "grade, k * slope_rad (4.5 % of the energy)"
+    law = replace(done, formulas={"grade": "k * max(-slope_rad, 0)"})
+    assert law.told == "grade, k * max(-slope_rad, 0) (4.5 % of the energy)"
     done = replace(done, asked={"grade": 0.047})
     assert done.told == "grade (4.5 % of the energy)"
     assert "Added: grade (4.5 % of the energy). The power error" in improve_page("r", [done])
