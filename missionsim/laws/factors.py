@@ -242,9 +242,10 @@ def _speeds(b: _Builder, name: str) -> None:
     low, middle, high = _quantiles(driven, (0.25, 0.5, 0.75))
     if low <= 0.0:
         return
-    b.family(name, f"max({text} - #, 0)", "(v − #)₊", 2, levels, (middle, high))
-    # a gait or a gear that changes at a speed
-    b.family(name, f"({text} > #)", "[v > #]", 2, [*levels, *0.5 * np.add(levels[1:], levels[:-1])], (middle,))
+    # what rises from a speed on, or is there from it on as a gait or a gear is
+    above, steps = f"{name} above", [*levels, *0.5 * np.add(levels[1:], levels[:-1])]
+    b.family(name, f"max({text} - #, 0)", "(v − #)₊", 2, levels, (middle, high), kind=above, more=(0.0,))
+    b.family(name, f"({text} > #)", "[v > #]", 2, steps, (), kind=above, more=(1.0,))
     b.family(name, f"tanh({text} / #)", "tanh(v/#)", 2, low * BENDS_AT, (low,))
     falling = (f"{moves} * exp(-{text} / #)", "[moving]·exp(−v/#)")
     b.family(name, *falling, 2, low * BENDS_AT, (0.5 * low,))
