@@ -185,20 +185,23 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
     yaml_files: list[Path] = []
     logs: list[Path] = []
     for given in files:
-        found = [given]
-        if given.suffix.lower() not in _YAML and _is_recording(given):
+        if given.suffix.lower() in _YAML and not given.is_dir():
+            yaml_files.append(given)
+            continue
+        from missionsim.logs.readers import is_recording, log_suffixes  # what checks YAML alone starts faster without
+
+        if is_recording(given):
             logs.append(given)  # the check of logs says how it becomes one
             continue
+        known = (*_YAML, *log_suffixes())
+        found = [given]
         if given.is_dir():
-            inside = sorted(given.rglob("*"))
-            found = [p for p in inside if (p.suffix.lower() in _YAML or _is_log(p)) and p.is_file()]
+            found = [p for p in sorted(given.rglob("*")) if p.suffix.lower() in known and p.is_file()]
         if not found:
-            from missionsim.logs.readers import log_suffixes
-
-            allowed = ", ".join((*_YAML, *log_suffixes()))
+            allowed = ", ".join(known)
             faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=allowed))
         for path in found:
-            (logs if _is_log(path) else yaml_files).append(path)
+            (logs if path.suffix.lower() in log_suffixes() else yaml_files).append(path)
     faults += check_files(yaml_files)
     if logs:
         from missionsim.logs import check_log
@@ -219,17 +222,3 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
         read, *words = (counted(number, word) for number, word in numbers)
         print(f"{read}: " + (", ".join(words if warnings else words[:1]) if faults else "valid"))
     return 2 if errors else 0
-
-
-def _is_recording(path: Path) -> bool:
-    from missionsim.logs.readers import is_recording
-
-    return is_recording(path)
-
-
-def _is_log(path: Path) -> bool:
-    if path.suffix.lower() in _YAML:
-        return False
-    from missionsim.logs.readers import log_suffixes
-
-    return path.suffix.lower() in log_suffixes()

@@ -153,10 +153,10 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
 def sure(battery: BatteryDiagnosis) -> str:
     """How sure the first answer is, and what speaks for it."""
     first = next(iter(battery.effects), None)
-    if first is not None and first.indistinguishable_from:
+    if first is not None and not first.is_clear:
         return "Not sure which: these data cannot tell these effects apart."
     if first is not None:
-        clear = [effect for effect in battery.effects if not effect.indistinguishable_from]
+        clear = battery.clear
         least = max(clear, key=lambda effect: effect.p_value)
         p = least.p_value
         odds = "less than one case in a million"
@@ -248,7 +248,7 @@ class Asked(NamedTuple):
 
 def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) -> str:
     """The command to type next; empty where there is nothing to add or to fit anew."""
-    told = [effect for effect in battery.effects if not effect.indistinguishable_from]
+    told = battery.clear
     law = next(iter(battery.proposed_laws), None)
     robot, options = shlex.quote(asked.robot), asked.options
     if several and "--battery" not in options:

@@ -29,13 +29,12 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     """The verdict in one or two sentences; the battery is named where `several` are diagnosed."""
     left = battery.unexplained
     said = list(filter(None, [sentences.worse(battery)]))
-    clear = [f for f in battery.effects if not f.indistinguishable_from]
-    said += [f"{sentences.missing(f)}{sentences.named(f)}." for f in clear]
-    for effect in battery.effects:
-        if effect.indistinguishable_from:
-            names = " or ".join((effect.effect, *battery.instead_of(effect)))
-            told = f"{'else ' if clear else ''}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}"
-            said.append(f"Something {told}. These data cannot tell which.")
+    said += [f"{sentences.missing(f)}{sentences.named(f)}." for f in battery.clear]
+    for effect in battery.unsure:
+        names = " or ".join((effect.effect, *battery.instead_of(effect)))
+        other = "else " if battery.clear else ""
+        told = f"{other}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}"
+        said.append(f"Something {told}. These data cannot tell which.")
     if driven := [_execution(f) for f in battery.execution]:
         said.append(f"The robot drove otherwise than planned: {'; '.join(driven)}.")
     for law in battery.proposed_laws:
@@ -72,8 +71,6 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
 
 def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     """The report as (heading, line) pairs, in the order of the skeleton; headings may repeat."""
-    clear = [effect for effect in battery.effects if not effect.indistinguishable_from]
-    unsure = [effect for effect in battery.effects if effect.indistinguishable_from]
     lines = [
         (
             "WHERE",
@@ -87,9 +84,9 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     clock = f"meter {meter_clock(battery.delay_s, battery.lag_s)} (applied{had}{edge})"
     lines.append(("CLOCK", clock if battery.aligned else "taken as logged"))
     lines.append(("NOISE", _noise(battery)))
-    lines += [("FOUND", found_line(effect)) for effect in clear]
+    lines += [("FOUND", found_line(effect)) for effect in battery.clear]
     lines += [("DRIVEN", f"{_execution(e)}; {100 * e.energy_share:+.1f} % of the energy") for e in battery.execution]
-    for effect in unsure:
+    for effect in battery.unsure:
         names, nats = (effect.effect, *battery.instead_of(effect)), effect.separation_nats
         more = ""
         if nats < 0.05:
@@ -107,7 +104,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         lines += [("LAW", line) for line in _law_lines(law, battery.parts)]
         lines += [("NEXT", law.experiment)] if law.experiment else []
     lines += [("NEXT", next_line(experiment)) for experiment in battery.next_experiments]
-    if unsure and not battery.next_experiments:
+    if battery.unsure and not battery.next_experiments:
         lines.append(("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart"))
     lines.append(("NOT SEEN", _not_seen(battery)))
     lines.append(("REMAINS", battery.unexplained.shape or "nothing beyond the noise"))
@@ -282,11 +279,11 @@ def stopped(
     `tested`: whether held-out runs can test what went in.
     """
     unseen = unseen_note(last) if tested else ""
-    unsure = [e for e in last.effects if e.indistinguishable_from]
-    if unsure:
-        names = " or ".join((unsure[0].effect, *last.instead_of(unsure[0])))
+    if last.unsure:
+        first = last.unsure[0]
+        names = " or ".join((first.effect, *last.instead_of(first)))
         drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
-        none = "neither" if len(unsure[0].indistinguishable_from) == 1 else "none of them"
+        none = "neither" if len(first.indistinguishable_from) == 1 else "none of them"
         return f"these data cannot tell {names}, so {none} is added.{drive}"
     undecided = next((law for law in last.proposed_laws if law.open), None)
     if undecided is not None:

@@ -103,6 +103,11 @@ class Finding:
     """Part of the energy that comes back (braking, descents), where it is known; ``energy_share`` is what is taken."""
 
     @property
+    def is_clear(self) -> bool:
+        """Whether these data tell it from every other effect."""
+        return not self.indistinguishable_from
+
+    @property
     def net(self) -> float:
         """Part of the measured energy that is taken and does not come back."""
         return self.energy_share - self.back
@@ -293,9 +298,19 @@ class BatteryDiagnosis(Findings):
             return "the library does not contain"
         return "these data do not name" + (f" (perhaps {' or '.join(doubted)})" if doubted else "")
 
+    @property
+    def clear(self) -> list[Finding]:
+        """Effects that these data tell from every other."""
+        return [effect for effect in self.effects if effect.is_clear]
+
+    @property
+    def unsure(self) -> list[Finding]:
+        """Effects that these data cannot tell from others."""
+        return [effect for effect in self.effects if not effect.is_clear]
+
     def instead_of(self, effect: Finding) -> tuple[str, ...]:
         """What an effect cannot be told from, in words: of an effect that is named, another form."""
-        named = {one.effect for one in self.effects if not one.indistinguishable_from}
+        named = {one.effect for one in self.clear}
         return tuple(f"another form of {name}" if name in named else name for name in effect.indistinguishable_from)
 
     @property

@@ -204,7 +204,7 @@ def _judged(
         limits = smallest_detectable(choice.model)
     else:
         limits = choice.forward.smallest_detectable(len(constraints.effect), constraints.settings)
-    named = {one.effect for one in effects if not one.indistinguishable_from}
+    named = {one.effect for one in effects if one.is_clear}
     rival_of = {rival: one.effect for one in effects for rival in one.indistinguishable_from if rival not in named}
     out = []
     for number, candidate in enumerate(constraints.candidates):

@@ -47,7 +47,7 @@ def decide(
     if structures and (demoted or not effects):
         return "unexplained_structure"
     # one unsure name makes the whole answer a question: what to drive is told with it
-    if any(effect.indistinguishable_from for effect in effects):
+    if not all(effect.is_clear for effect in effects):
         return "ambiguous"
     if law:
         return "unexplained_structure"
