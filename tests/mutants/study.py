@@ -193,7 +193,7 @@ MUTANTS = [
         "verdict",
         "identify/verdict.py",
         ("if structures and (demoted or not effects):", "if structures:"),
-        ("if any(effect.indistinguishable_from for effect in effects):", "if False:"),
+        ("if not all(effect.is_clear for effect in effects):", "if False:"),
         ("    if law:\n", "    if False:\n"),
         ("if effects or execution:", "if effects:"),
         ('"unexplained_structure" if averages else "nothing_missing"', '"nothing_missing"'),
