@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.numerals import counted
 
 _OF_NUMPY = (
     "abs arctan arctan2 arcsin arccos clip cos degrees exp floor hypot log maximum minimum radians sign sin sqrt"
@@ -272,7 +273,7 @@ def _call(
     if len(args) != wanted:
         if name in ("max", "min", "maximum", "minimum") and len(args) > wanted:
             return lambda v: functools.reduce(FUNCTIONS[name], [part(v) for part in parts])
-        fault(f"'{name}' takes {wanted} argument{'s' if wanted > 1 else ''}", node, str(len(args)), str(wanted))
+        fault(f"'{name}' takes {counted(wanted, 'argument')}", node, str(len(args)), str(wanted))
         return _constant(np.nan)
     if name == "lag":
         text = ast.unparse(node)

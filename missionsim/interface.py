@@ -181,8 +181,7 @@ def whatif(
 
     base, other = _pairs(set), None if robot is None else str(robot)
     pairs = [(path, [str(value) for value in values]) for path, values in vary.items()]
-    alternatives = [Alternative(BASELINE, base, other)]
-    alternatives += [Alternative(a.name, a.set, other) for a in varied(pairs, base)]
+    alternatives = [Alternative(BASELINE, base, other), *varied(pairs, base, other)]
     found = run_alternatives(mission, alternatives, workers=workers)
     line = f"{found.mission}: {len(found.results)} alternatives, {sum(r.feasible for r in found.runs)} feasible"
     return Answer(found, line, found.table, found.to_json, ("alternative", "energy_wh"))

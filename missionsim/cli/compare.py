@@ -21,7 +21,7 @@ from missionsim.fit.parameters import ModelFit
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import describe, read_logs
-from missionsim.numerals import meter_clock, rounded, watts
+from missionsim.numerals import counted, meter_clock, rounded, watts
 from missionsim.report.compare_files import print_comparison, write_figures, write_tables
 from missionsim.report.compare_page import compare_page
 from missionsim.report.terminal import console, show_table
@@ -183,11 +183,10 @@ def _print(fits: Sequence[ModelFit], remarks: list[str], out: Path) -> None:
         clock = "clocks as logged"
         if fit.delay_s or fit.lag_s:
             clock = f"meter {meter_clock(fit.delay_s, fit.lag_s)}"
-        count = f"{len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
         terminal.print(
-            f"{count}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
-            f"of the power; error {watts(fit.after.power_rmse_w)} (RMS), {fit.after.run_energy_error_pct:.2f} % of the "
-            f"energy of a run; {clock}"
+            f"{counted(len(fit.runs), 'run')}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the "
+            f"variance of the power; error {watts(fit.after.power_rmse_w)} (RMS), "
+            f"{fit.after.run_energy_error_pct:.2f} % of the energy of a run; {clock}"
         )
     for remark in remarks:
         terminal.print(f"note: {remark}")

@@ -71,10 +71,7 @@ def show(result: Diagnosis, asked: sentences.Asked) -> None:
         for line in (sentences.sure(battery), sentences.errors(battery)):
             if line:
                 terminal.print(line)
-        command = sentences.next_step(battery, asked, len(result.batteries) > 1)
-        if command:
-            terminal.print("Next, type:")
-            terminal.print(f"    {command}", style="cyan", soft_wrap=True)
+        _tell_next(sentences.next_step(battery, asked, len(result.batteries) > 1))
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column()
@@ -86,6 +83,12 @@ def show(result: Diagnosis, asked: sentences.Asked) -> None:
         terminal.print()
     for name, why in result.skipped.items():
         terminal.print(f"Battery {name} was not diagnosed: {why}")
+
+
+def _tell_next(command: str) -> None:
+    if command:
+        console().print("Next, type:")
+        console().print(f"    {command}", style="cyan", soft_wrap=True)
 
 
 def improve(
@@ -194,9 +197,7 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
             terminal.print(one.worse, style="bold red")
         if better:
             terminal.print(better)
-        if command:
-            terminal.print("Next, type:")
-            terminal.print(f"    {command}", style="cyan", soft_wrap=True)
+        _tell_next(command)
         heads = ["model", ">energy error, %", ">power RMSE, W", ""]
         show_table(f"Battery {one.battery}: error on {which}", heads, rows)
         terminal.print(f"added: {one.told}; {one.stopped}")

@@ -17,6 +17,7 @@ from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Outpu
 from missionsim.cli.run import show
 from missionsim.errors import Fault, InputError
 from missionsim.files import install_hint, to_json, write_text
+from missionsim.numerals import counted
 from missionsim.report.figures_run import write_batch_figures
 from missionsim.report.terminal import console, show_table
 from missionsim.results.write import write_results
@@ -168,7 +169,7 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
 
     def tell_damaged(damaged: list[int]) -> None:
         if damaged:
-            told = f"{len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run {damaged[0]}"
+            told = f"{counted(len(damaged), 'damaged block')}, the first with run {damaged[0]}"
             print(f"warning: computing again {told}", file=sys.stderr)
 
     try:

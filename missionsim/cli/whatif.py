@@ -72,9 +72,7 @@ def whatif(
         if mission is None:
             raise InputError.single("whatif needs a mission", allowed="whatif MISSION.yaml --vary …")
         path = mission
-        pairs = to_vary(vary or ())
-        alternatives = [Alternative(BASELINE, base, robot)]
-        alternatives += [Alternative(a.name, a.set, robot) for a in varied(pairs, base)]
+        alternatives = [Alternative(BASELINE, base, robot), *varied(to_vary(vary or ()), base, robot)]
     if montecarlo and not 2 <= montecarlo <= MOST_RUNS:
         raise InputError.single("--montecarlo cannot be used so", got=montecarlo, allowed=f"2 to {MOST_RUNS}, or 0")
     if not 1 <= workers <= MOST_WORKERS:

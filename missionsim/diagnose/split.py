@@ -18,6 +18,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
 from missionsim.labels import Labels
+from missionsim.numerals import counted
 from missionsim.runs.admit import admit, admit_to_test
 from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
 from missionsim.runs.drive import filled
@@ -84,7 +85,7 @@ def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None
             return Split(
                 logs,
                 (),
-                f"{len(logs)} run{'s' * (len(logs) != 1)} only: none held out, so nothing shows how "
+                f"{counted(len(logs), 'run')} only: none held out, so nothing shows how "
                 "the model does on runs that were not used",
             )
         return _last(logs, 0.25)
@@ -163,7 +164,7 @@ def _files(logs: tuple[Run, ...], parts: list[str]) -> Split:
     if not train:
         raise InputError.single("every run is held out; nothing is left to fit", got=", ".join(parts))
     kept, left_out = admit_to_test(held, train)
-    how = f"{len(kept)} run{'s' * (len(kept) != 1)} from {', '.join(Path(p).name for p in parts)}"
+    how = f"{counted(len(kept), 'run')} from {', '.join(Path(p).name for p in parts)}"
     return Split(train, tuple(kept), how, left_out=(*left_out, *(f"held-out {told}" for told in refused)))
 
 

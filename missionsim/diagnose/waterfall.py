@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from missionsim.identify.noise import mean_variance
-from missionsim.numerals import rounded, watts
+from missionsim.numerals import counted, rounded, watts
 
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
@@ -79,7 +79,7 @@ def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int
         f"error falls from {rounded(before.power_rmse_w)} to {watts(after.power_rmse_w)}. Energy is a sum: without it, "
         "errors of opposite sign cancelled out over a run. With it, what is left is mostly the level by which a whole "
         f"run differs from the fitted ones, ±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On "
-        f"{count} run{'s' * (count != 1)} even a model of the right form shows up to {chance:.1f} %; {told}."
+        f"{counted(count, 'run')} even a model of the right form shows up to {chance:.1f} %; {told}."
     )
 
 
@@ -203,7 +203,7 @@ def _floor_note(done: Improved) -> str:
         half = 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count)  # as in `rise_note`
         low, high = (floor.energy_error_pct * max(0.0, 1.0 + side * half) for side in (-1.0, 1.0))
         told += (
-            f" The noise floor of the energy is the mean of many runs: over {count} run{'s' * (count != 1)} a true "
+            f" The noise floor of the energy is the mean of many runs: over {counted(count, 'run')} a true "
             f"model shows {low:.2f} to {high:.2f} %, so that one may well lie below it."
         )
     return told

@@ -15,7 +15,7 @@ from missionsim.errors import InputError
 from missionsim.identify.findings import AT_BOUND, BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
-from missionsim.numerals import bare, meter_clock, p_told, rounded, watts
+from missionsim.numerals import bare, counted, meter_clock, p_told, rounded, watts
 
 NOTHING_LEFT = "nothing is left above the detection limits"
 AS_WELL = "which at first these data could not tell from what went in; it is not added"
@@ -124,7 +124,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         for held in tested
     ]
     if battery.heldout is None:
-        count = f"{len(battery.runs)} run{'s' * (len(battery.runs) != 1)}"
+        count = counted(len(battery.runs), "run")
         told_not = f"nothing held out ({count}): how the model does on runs that were not used is not shown"
         lines.append(("HELD-OUT", told_not))
     lines += [("NOTE", remark) for remark in battery.remarks]

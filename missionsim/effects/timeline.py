@@ -37,6 +37,11 @@ class Timeline:
     def __len__(self) -> int:
         return int(np.shape(self.duration_s)[-1])
 
+    @property
+    def edges_s(self) -> Array:
+        """Starts of the intervals, and the end of the last. Shape (n + 1,), or (0,) without any."""
+        return np.append(self.start_s, self.start_s[-1:] + self.duration_s[-1:])
+
     def covariates(self) -> Columns:
         """Covariates at the start of the intervals."""
         return {**self.columns, **self.lags}

@@ -24,6 +24,7 @@ from missionsim.identify.estimates import Z95
 from missionsim.identify.predictive import far_from_right
 from missionsim.identify.settings import Settings
 from missionsim.labels import Labels
+from missionsim.numerals import counted
 from missionsim.runs.covariates import COVARIATES
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -64,7 +65,7 @@ def data_tag(logs: Sequence[Run]) -> str:
 
 def fitted_source(logs: Sequence[Run]) -> str:
     """What a robot file says of numbers that were fitted to some logs."""
-    return f"fitted to {len(logs)} run{'s' * (len(logs) != 1)}, data {data_tag(logs)}"
+    return f"fitted to {counted(len(logs), 'run')}, data {data_tag(logs)}"
 
 
 def as_fitted(parameter: ModelParameter, value: float, sd: float) -> Json:

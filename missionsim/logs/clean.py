@@ -111,7 +111,7 @@ def order_time(rows: Rows) -> None:
     if wide.any():
         longest = int(np.argmax(step))
         count = int(wide.sum())
-        told = f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after"
+        told = f"{counted(count, 'gap')}, the longest {step[longest]:.3g} s after"
         told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
         action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
         rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)

@@ -21,6 +21,7 @@ from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstac
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
 from missionsim.logs.times import TimeAxis
+from missionsim.numerals import counted
 from missionsim.runs.run import Run, row_durations
 
 if TYPE_CHECKING:
@@ -263,6 +264,6 @@ def describe(logs: Sequence[Run | LongRun], *, notes: bool = False) -> list[str]
     lines = []
     for group in found.values():
         run, remark = group[0]
-        others = f" (and {len(group) - 1} more run{'s' * (len(group) > 2)})" if len(group) > 1 else ""
+        others = f" (and {counted(len(group) - 1, 'more run')})" if len(group) > 1 else ""
         lines.append(f"{remark.severity}: {run}: {remark}{others}")
     return lines

@@ -155,9 +155,8 @@ def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, floa
     robot = shipped_robot("khepera3")
     rate = load_figures(PAPER)["sampling.rate"].value
     line = result.timeline
-    edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
-    time = np.arange(0.5 / rate, edges[-1], 1.0 / rate)
-    index = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, len(line) - 1)
+    time = np.arange(0.5 / rate, line.edges_s[-1], 1.0 / rate)
+    index = np.clip(np.searchsorted(line.edges_s, time, side="right") - 1, 0, len(line) - 1)
     still = np.asarray(line.columns["speed_m_s"])[index] == 0.0
     power = result.power_w("robot")[index] + np.random.default_rng(seed).normal(0.0, noise_w, len(time))
     names = [name for name, spec in robot.components.items() if not spec.always_on]

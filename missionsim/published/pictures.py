@@ -110,8 +110,7 @@ def _patrol_velocity(figure: Figure) -> None:
     for name, label, style in ((jaiem2021.PLAN, "plan", "--"), (jaiem2021.DRIVEN, "as driven (calibrated)", "-")):
         line = run(name).timeline
         speed = np.asarray(line.columns["speed_m_s"])
-        edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
-        axes.stairs(speed, edges, baseline=None, linestyle=style, label=label, color=COLOURS[style == "--"])
+        axes.stairs(speed, line.edges_s, baseline=None, linestyle=style, label=label, color=COLOURS[style == "--"])
     _finish(axes, "time (s)", "velocity (m/s)")
 
 
@@ -137,10 +136,9 @@ def _patrol_error(figure: Figure) -> None:
 def _sequence(figure: Figure) -> None:
     result = run(parasuraman2012.IDENTIFY)
     line = result.timeline
-    edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
     axes = figure.subplots()
     power = result.power_w("robot")
-    axes.stairs(power, edges, baseline=None, color=COLOURS[0], label="power of the robot")
+    axes.stairs(power, line.edges_s, baseline=None, color=COLOURS[0], label="power of the robot")
     before = 0.0
     for index, segment in enumerate(result.segments):
         end = result.segment_end_s[index]

@@ -14,7 +14,7 @@ import numpy as np
 
 from missionsim.compare import BatteryComparison, Comparison
 from missionsim.compare.behaviour import OF_SCHEME, PARTS
-from missionsim.numerals import in_wh, rounded
+from missionsim.numerals import counted, in_wh, rounded
 from missionsim.report.compare_page import places, power, progress, residual
 from missionsim.report.page import MEASURED, Chart, literal, new_figure, save_figure
 from missionsim.report.terminal import signed, simple_table
@@ -33,8 +33,7 @@ RUN_ROWS = 12
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print the verdict, the numbers by battery and run, where it fails, and what was assumed."""
-    count = len(comparison.runs)
-    title = f"{comparison.robot or 'model'}: model against measurements, {count} {'runs' if count != 1 else 'run'}"
+    title = f"{comparison.robot or 'model'}: model against measurements, {counted(len(comparison.runs), 'run')}"
     columns = ["battery", ">measured Wh", ">model Wh", ">error %", ">by run %", ">RMSE W", ">bias W"]
     rows: list[list[str]] = []
     for one in comparison.batteries.values():

@@ -9,7 +9,7 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
-from missionsim.numerals import in_wh, rounded, watts
+from missionsim.numerals import counted, in_wh, rounded, watts
 from missionsim.report import page as web
 from missionsim.report.page import label
 from missionsim.report.terminal import signed
@@ -28,8 +28,7 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
     `tolerance_pct`: the tolerance asked for, for the verdict; `footer`: how it was made (version, command).
     """
     title = f"{comparison.robot or 'Model'}: model against measurements"
-    count = len(comparison.runs)
-    subtitle = f"{count} {'runs' if count != 1 else 'run'}, {comparison.rows:,} rows"
+    subtitle = f"{counted(len(comparison.runs), 'run')}, {comparison.rows:,} rows"
     if comparison.mission:
         subtitle += f", mission {comparison.mission}"
     batteries = list(comparison.batteries.values())

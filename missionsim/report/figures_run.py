@@ -51,7 +51,7 @@ def power_figure(result: RunResult) -> Figure:
     """Power of each battery over time, stacked by component (mean of each interval), segments marked."""
     figure, axes, scale = _figure(result, 3.0)
     line = result.timeline
-    edges = np.append(line.start_s, line.start_s[-1:] + line.duration_s[-1:]) / scale
+    edges = line.edges_s / scale
     colours = _colours(result)
     for axis, name in zip(axes, result.batteries, strict=True):
         parts = _by_component(result, name)
@@ -166,7 +166,7 @@ def _figure(result: RunResult, height: float) -> tuple[Figure, list[Axes], float
     for axis in axes:
         for i in first:
             axis.axvline(line.start_s[i] / scale, color="#000000", alpha=0.18, linewidth=0.7)
-    ends = np.append(line.start_s[first[1:]], line.start_s[-1] + line.duration_s[-1])
+    ends = line.edges_s[[*first[1:], -1]]
     for i, end in zip(first, ends, strict=True):
         if end - line.start_s[i] < result.duration_s / MOST_LABELS / 1.5:
             continue

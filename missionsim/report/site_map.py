@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,6 @@ from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
 from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Trace, Verdict, axis, page
-
-if TYPE_CHECKING:
-    pass
-
 
 Points = Array
 SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")

@@ -131,9 +131,11 @@ class WhatIf:
         return {name: [row.get(name) for row in rows] for name in COLUMNS}
 
 
-def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[str, object]] = ()) -> list[Alternative]:
-    """Every combination of varied values, each on top of what the baseline sets. `base`: what the baseline sets. Raises
-    InputError: for more combinations than `MOST_ALTERNATIVES`."""
+def varied(
+    vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[str, object]] = (), robot: str | None = None
+) -> list[Alternative]:
+    """Every combination of varied values, each on top of what the baseline sets. `base`: what the baseline sets;
+    `robot`: the one that all have. Raises InputError: for more combinations than `MOST_ALTERNATIVES`."""
     pairs = list(vary)
     names = [path for path, _ in pairs]
     if twice := [path for path in dict.fromkeys(names) if names.count(path) > 1]:
@@ -149,7 +151,7 @@ def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[st
     for combination in itertools.product(*(values for _, values in pairs)):
         chosen = tuple(zip((path for path, _ in pairs), combination, strict=True))
         name = ", ".join(f"{_short(path)}={value}" for path, value in chosen)
-        made.append(Alternative(name, (*base, *chosen)))
+        made.append(Alternative(name, (*base, *chosen), robot))
     return made
 
 
@@ -168,7 +170,7 @@ def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
         robot = own(study.robot if spec.robot is None else spec.robot)
         made.append(Alternative(str(name), (*base, *spec.set.items()), robot, spec.title))
     if study.vary:
-        made += [Alternative(item.name, item.set, own(study.robot)) for item in varied(study.vary.items(), base)]
+        made += varied(study.vary.items(), base, own(study.robot))
     return folder / study.mission, made
 
 
