@@ -21,7 +21,7 @@ from missionsim.inputs.mission import MissionSpec
 
 _ORIGIN = re.compile(r"metres east and north of (-?[\d.]+), (-?[\d.]+) \(WGS 84\)")
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF, SPLINE = 16, 17, 18, 19, 20, 21, 22, 82
-DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED, SET_HOME = 93, 112, 177, 178, 179
+DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED = 93, 112, 177, 178
 _MOVING = {WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, SPLINE, 84, 85}
 _NAMES = {LAND: "land", TAKEOFF: "take-off", 84: "take-off", 85: "land", SPLINE: "spline waypoint"}
 _LOCAL_FRAMES = {1, 4, 7, 9, 12, 13, 20, 21}
