@@ -255,8 +255,8 @@ def test_a_law_whose_quantity_is_open_is_not_added(
     told = law(laws=tuple(forms), possible=(first[-1], other[-1]))
     assert told.open is undecided
     left = SimpleNamespace(shape="it wanders")
-    last = SimpleNamespace(effects=(), proposed_laws=(told,), verdict="unexplained_structure", battery="main",
-                           unexplained=left, unnamed="", next_experiments=(), heldout=None)  # fmt: skip
+    last = SimpleNamespace(effects=(), clear=[], unsure=[], proposed_laws=(told,), verdict="unexplained_structure",
+                           battery="main", unexplained=left, unnamed="", next_experiments=(), heldout=None)  # fmt: skip
     assert (
         f"{plain(first[-1])} or {plain(other[-1])}, so it is not added. Next: 3 min at" in stopped(last, ())
     ) is undecided
