@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, Usual, correlation, offsets, runs_beside
+from missionsim.runs.copies import copies
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.run import SPEEDS, Run, divided, larger
@@ -34,6 +33,8 @@ NEAR_S, CLEARLY_BETTER, UNRELATED_AT_ALL = 10.0, 0.3, 0.02
 BEYOND = 0.25
 """Distance of a run's usual value from all of the others, in parts of their range, from which they cannot say what is
 usual there (assumed)."""
+NEARLY = 0.25
+"""Of what a run is off by, the part that those near it in something are off by too, where that may be why (assumed)."""
 _MOTION = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad", "heading_rad", "time_s")
 DOWNWARDS, MOST_RUNS, PART_OF_POWER = -6.0, 0.75, 0.05
 """Robust t below which going up costs less than going down, the part of the runs that must show it by themselves, and
@@ -89,7 +90,10 @@ def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
             doubtful |= beside
             found |= told
         usual = [run for run in own if run.run not in {*found, *doubtful}]
-        found |= {run.run: doubtful[run.run] for run in own if run.run in doubtful and not beyond(run, usual)}
+        asked = [run for run in own if run.run in doubtful and not beyond(run, usual)]
+        apart_by = {one.run.run: np.log(max(_ratio(one, battery), 1e-12)) for one in driven}
+        known = [run for run in own if run not in asked and run.run not in found]
+        found |= {run.run: doubtful[run.run] for run in asked if not as_near(run, known, apart_by)}
     return apart | (found if len(found) < 0.5 * len(runs) else {})
 
 
@@ -187,13 +191,11 @@ def _units(runs: Sequence[Run]) -> dict[str, str]:
 def beyond(run: Run, others: Sequence[Run]) -> list[str]:
     """Columns, but those of motion, in which a run is where no other run is: what it costs more is not odd then."""
     found: list[str] = []
-    for name, data in run.columns.items():
-        have = [one.columns[name] for one in others if name in one.columns]
-        if name in _MOTION or is_switch(name) or not may_be_cause(name) or len(have) < FEWEST or not run.rows:
-            continue
+    for name, data, have in _causes(run, others):
         if isinstance(data, Labels):
-            seen = {text for one in have if isinstance(one, Labels) for text in one.names}
-            if name == "surface" and not {*data.names} & seen:
+            seen = [text for one in have if isinstance(one, Labels) for text in {*one.names}]
+            # what is called differently in every run is the name of a run
+            if not {*data.names} & {*seen} and (name == "surface" or max(map(seen.count, seen), default=0) > 1):
                 found.append(name)
             continue
         values = np.concatenate([one[np.isfinite(one)] for one in have if not isinstance(one, Labels)])
@@ -205,6 +207,41 @@ def beyond(run: Run, others: Sequence[Run]) -> list[str]:
         if not low - most <= float(np.median(own)) <= high + most:
             found.append(name)
     return found
+
+
+def as_near(run: Run, others: Sequence[Run], level: Mapping[str, float]) -> list[str]:
+    """Columns, but those of motion, in which the nearest of other runs are off the same way: heat or rain may be why.
+
+    `level`: by run, log of measured over modelled energy.
+    """
+    found: list[str] = []
+    usual = float(np.median([*level.values()]))
+    off = level[run.run] - usual
+    for name, data, _ in _causes(run, others):
+        have = [one for one in others if name in one.columns]
+        if isinstance(data, Labels):
+            same = {one.run: one.columns[name] for one in have}
+            near = [run for run, own in same.items() if isinstance(own, Labels) and _mostly(own) == _mostly(data)]
+        else:
+            far = {one.run: abs(float(np.nanmedian(one.number(name)) - np.nanmedian(data))) for one in have}
+            near = [run for run, own in far.items() if own == min(far.values())]
+        if near and float(np.median([level[one] for one in near]) - usual) * np.sign(off) > NEARLY * abs(off):
+            found.append(name)
+    return found
+
+
+def _mostly(data: Labels) -> str:
+    """The label of most rows."""
+    counted = np.bincount(data.codes[data.codes >= 0], minlength=1)
+    return data.names[int(np.argmax(counted))] if counted.any() else ""
+
+
+def _causes(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Array | Labels, list[Array | Labels]]]:
+    """Columns of a run that may be why it draws more, but those of motion, and what other runs have there."""
+    for name, data in run.columns.items():
+        have = [one.columns[name] for one in others if name in one.columns]
+        if name not in _MOTION and not is_switch(name) and may_be_cause(name) and len(have) >= FEWEST and run.rows:
+            yield name, data, have
 
 
 def _factors(
@@ -251,17 +288,6 @@ def _factors(
 def _ratio(driven: Driven, battery: str) -> float:
     model_j = float(driven.model_w[battery] @ driven.dt_s)
     return float(driven.measured_w[battery] @ driven.dt_s) / model_j if model_j else float("nan")
-
-
-SHARE = 0.003
-"""Standard deviation of the difference of two powers, in parts of their mean, below which they are one measurement.
-Noise of meters and drives is ten times as large."""
-WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.15, 0.9
-"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares at one
-shift, and the part that must be unlike all others of the run: a measured speed never comes twice alike to its last
-digit, a commanded one does."""
-MOST = 4000
-"""Fingerprints of a run that are compared."""
 
 
 def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Run], list[str]]:
@@ -342,54 +368,3 @@ def unchanging(runs: Sequence[Run]) -> list[str]:
         for name, values in found.items()
         if len(values) == 1 and len(runs) > 1
     ]
-
-
-def copies(runs: Sequence[Run]) -> dict[int, int]:
-    """Number of a run that is a copy → number of the first run that it copies."""
-    seen = [_fingerprints(run) for run in runs]
-    rare = 1 + max((len(one) for one in seen), default=0) // MOST
-    # by content, so that copies choose the same ones
-    chosen = [{value: at for value, at in one.items() if value % rare == 0} for one in seen]
-    owners: dict[int, list[int]] = {}
-    for i, one in enumerate(chosen):
-        for value in one:
-            owners.setdefault(value, []).append(i)
-    shifts: dict[tuple[int, int], Counter[int]] = {}
-    for value, own in owners.items():
-        for i, j in combinations(own, 2):
-            shifts.setdefault((i, j), Counter())[chosen[j][value] - chosen[i][value]] += 1
-    found: dict[int, int] = {}
-    for j, run in enumerate(runs):
-        for i in range(j):
-            least = min(len(chosen[i]), len(chosen[j]))
-            # of two runs of one mission some speeds are alike here and there, of a copy at one shift throughout
-            shared = max(shifts.get((i, j), Counter({0: 0})).values())
-            alike = least >= LEAST / rare and shared > PART * least
-            if i in found or set(run.power_w) != set(runs[i].power_w):
-                continue
-            same = run.rows == runs[i].rows and all(
-                float(np.std(power - run.power_w[name])) <= SHARE * abs(float(np.mean(power)))
-                for name, power in runs[i].power_w.items()
-            )
-            if alike or same:
-                found[j] = i
-                break
-    return found
-
-
-def _fingerprints(run: Run) -> dict[int, int]:
-    """One number for each few successive speeds → where they stand; none where speeds come again."""
-    if "speed_m_s" not in run.columns:
-        return {}
-    speed = np.round(run.number("speed_m_s"), 9)
-    speed = speed[np.isfinite(speed)]
-    speed = speed[np.diff(speed, prepend=np.nan) != 0.0]
-    if len(speed) < LEAST + WINDOW:
-        return {}
-    factor = np.uint64(0x9E3779B97F4A7C15)
-    bits = (speed + 0.0).view(np.uint64) * factor
-    mixed = np.zeros(len(bits) - WINDOW + 1, dtype=np.uint64)
-    for k in range(WINDOW):
-        mixed = (mixed ^ (bits[k : k + len(mixed)] >> np.uint64(13 + k))) * factor
-    values, first = np.unique(mixed >> np.uint64(8), return_index=True)
-    return dict(zip(values.tolist(), first.tolist(), strict=True)) if len(values) > UNLIKE * len(mixed) else {}

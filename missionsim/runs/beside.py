@@ -40,6 +40,8 @@ RELATED, UNRELATED = 0.6, 0.1
 which a run has nothing to do with them."""
 APART = 2.5
 """Distance of two groups of levels, in times the width of the wider, from which the fewer are odd (assumed)."""
+BANDS, LEAST_ROWS = 12, 15
+"""Bands of a load or temperature in which runs are held against each other, and rows that each must have there."""
 ROWS = 4000
 """Rows of each run that a regression looks at."""
 LEAST_MAGNITUDES, MOTION = 30, ("speed_m_s", "yaw_rate_rad_s")
@@ -359,18 +361,30 @@ def _spread(driven: Driven, gap: Array) -> float:
 
 
 def _explained(driven: Driven, runs: Sequence[Driven], battery: str, offset: float) -> bool:
-    """Whether a load that is logged makes up half an offset, by its slope in other runs or as none of them has it."""
+    """Whether a load or a temperature that is logged makes up half an offset: other runs have half of it too where they
+    have the same of that, or none of them has it."""
+    gap = driven.measured_w[battery] - driven.model_w[battery]
     for name, data in driven.run.columns.items():
-        if isinstance(data, Labels) or not (name in LOADS or (column_of(name) is None and may_be_cause(name))):
+        load = name in LOADS or (column_of(name) is None and may_be_cause(name))
+        if isinstance(data, Labels) or not (load or name.startswith("temp_")):
             continue
         others = [one for one in runs if one is not driven and name in one.run.columns]
         if len(others) < FEWEST:
             continue
-        load = np.concatenate([one.run.number(name) - np.mean(one.run.number(name)) for one in others])
-        gaps = [one.measured_w[battery] - one.model_w[battery] for one in others]
-        gap = np.concatenate([one - one.mean() for one in gaps])
-        more = float(np.mean(data)) - float(np.median([np.mean(one.run.number(name)) for one in others]))
-        spread = float(load @ load)
-        if spread < len(load) * (0.1 * more) ** 2 or 0.5 < float(load @ gap) / spread * more / offset < 2.0:
+        there = np.concatenate([one.run.number(name) for one in others])
+        gaps = np.concatenate([one.measured_w[battery] - one.model_w[battery] for one in others])
+        edges = np.linspace(*np.quantile(np.r_[data, there], [0.0, 1.0]), BANDS + 1)[1:-1]
+        own, theirs = np.digitize(data, edges), np.digitize(there, edges)
+        shared = [
+            b for b in range(BANDS) if min(np.count_nonzero(own == b), np.count_nonzero(theirs == b)) >= LEAST_ROWS
+        ]
+        rows = [np.count_nonzero(own == b) for b in shared]
+        if sum(rows) < 0.5 * len(data):
+            moves = min(float(np.ptp(one.run.number(name))) for one in others) > np.ptp(edges) / BANDS
+            if load or moves:  # the weather of other days lies elsewhere, whatever the run draws
+                return True
+            continue
+        beside = [np.median(gap[own == b]) - np.median(gaps[theirs == b]) for b in shared]
+        if np.average(beside, weights=rows) / offset < 0.5:
             return True
     return False

@@ -15,8 +15,10 @@ from missionsim.errors import InputError
 from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
+from missionsim.labels import Labels
 from missionsim.logs import Remark, read_logs
-from missionsim.runs.admit import admit, admit_to_test, copies, unchanging, unfit_runs
+from missionsim.runs.admit import admit, admit_to_test, unchanging, unfit_runs
+from missionsim.runs.copies import copies
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 from tests.hidden_effects.study import ALL_CASES
@@ -245,6 +247,45 @@ def test_what_a_logged_load_explains_is_no_offset_of_a_meter(runs: list[Run], el
         heated.append(replace(run, power_w=power, columns={**run.columns, "heater_w": heater}))
     assert told(heated) == []
     assert len(told([*heated[:4], replace(heated[4], columns=runs[4].columns)])) == 1
+
+
+@pytest.mark.parametrize(("tops", "odd"), [((46, 46, 46, 46, 46, 52), 5), ((48, 44, 47, 44, 46, 58), 2)])
+def test_a_fan_by_a_logged_temperature_is_no_offset_of_a_meter(tops: tuple[float, ...], odd: int) -> None:
+    """A fan above a motor at 45 °C, seldom in some runs and nearly always in one, which is hotter than all others."""
+    fanned = []
+    for number, top in enumerate(tops):
+        run = drive(number, seconds=400.0)
+        warm = 25.0 + (top - 25.0) * (1.0 - np.exp(-np.arange(len(run)) / (80.0 if number < 5 else 10.0)))
+        power = {"robot": run.power_w["robot"] + 5.0 * (warm > 45.0)}
+        fanned.append(replace(run, power_w=power, columns={**run.columns, "temp_motor_c": warm}))
+    assert told(fanned) == []
+    lines = told([replace(one, columns=drive(number, seconds=400.0).columns) for number, one in enumerate(fanned)])
+    assert f"run_{odd:02d}: power_robot_w lies +" in lines[0]
+
+
+def in_weather(degrees: list[float], weather: list[str], by_weather: float, by_heat: float, odd: int = -1) -> list[Run]:
+    """Runs that draw more in rain and above 25 °C, or one that does so whatever the weather."""
+    made = []
+    for number, (warm, sky) in enumerate(zip(degrees, weather, strict=True)):
+        run = drive(30 + number, seconds=200.0, run=f"run_{number:02d}")
+        moving = np.abs(run.number("speed_m_s")) > 0.05
+        heat = np.random.default_rng(number).normal(warm, 0.3, len(run))
+        more = by_heat * np.maximum(heat - 25.0, 0.0) + by_weather * (sky == "rain") + 8.0 * (number == odd)
+        own = run.number("speed_m_s") * (1.0 + 1e-3 * number)  # of so few speeds many come again in another run
+        columns = {**run.columns, "speed_m_s": own, "temp_ambient_c": heat, "weather": Labels.of([sky] * len(run))}
+        made.append(replace(run, columns=columns, power_w={"robot": run.power_w["robot"] + more * moving}))
+    return made
+
+
+def test_days_that_share_what_costs_more_excuse_each_other() -> None:
+    """Of three runs in rain two are colder than all others; of three hot ones one is hotter; a lone run in rain is
+    where no other was. A run that draws more on a day like others stays odd."""
+    warm, dry = [20.0, 10.0, 24.0, 14.0, 22.0, 17.0], ["dry"] * 6
+    assert told(in_weather([*warm, 19.0, -3.0, -4.0], [*dry, "rain", "rain", "rain"], 8.0, 0.0)) == []
+    assert told(in_weather([*warm, 19.0], [*dry, "rain"], 8.0, 0.0)) == []
+    assert told(in_weather([*warm, 27.0, 33.0, 36.0], [*dry, "dry", "dry", "dry"], 0.0, 1.1)) == []
+    (line,) = told(in_weather([*warm, 19.0, 27.0, 12.0], [*dry, "dry", "rain", "rain"], 0.3, 0.0, odd=6))
+    assert line.endswith("which agree: another robot, unit or load?")
 
 
 @pytest.mark.parametrize("logged", [True, False])

@@ -1,0 +1,72 @@
+"""Runs that are one measurement: the same speeds, to their last digit, in the same order."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from missionsim.runs.run import Run
+
+SHARE = 0.003
+"""Standard deviation of the difference of two powers, in parts of their mean, below which they are one measurement.
+Noise of meters and drives is ten times as large."""
+WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.15, 0.9
+"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares at one
+shift, and the part that must be unlike all others of the run: a measured speed never comes twice alike to its last
+digit, a commanded one does."""
+MOST = 4000
+"""Fingerprints of a run that are compared."""
+
+
+def copies(runs: Sequence[Run]) -> dict[int, int]:
+    """Number of a run that is a copy → number of the first run that it copies."""
+    seen = [_fingerprints(run) for run in runs]
+    rare = 1 + max((len(one) for one in seen), default=0) // MOST
+    # by content, so that copies choose the same ones
+    chosen = [{value: at for value, at in one.items() if value % rare == 0} for one in seen]
+    owners: dict[int, list[int]] = {}
+    for i, one in enumerate(chosen):
+        for value in one:
+            owners.setdefault(value, []).append(i)
+    shifts: dict[tuple[int, int], Counter[int]] = {}
+    for value, own in owners.items():
+        for i, j in combinations(own, 2):
+            shifts.setdefault((i, j), Counter())[chosen[j][value] - chosen[i][value]] += 1
+    found: dict[int, int] = {}
+    for j, run in enumerate(runs):
+        for i in range(j):
+            least = min(len(chosen[i]), len(chosen[j]))
+            # of two runs of one mission some speeds are alike here and there, of a copy at one shift throughout
+            shared = max(shifts.get((i, j), Counter({0: 0})).values())
+            alike = least >= LEAST / rare and shared > PART * least
+            if i in found or set(run.power_w) != set(runs[i].power_w):
+                continue
+            same = run.rows == runs[i].rows and all(
+                float(np.std(power - run.power_w[name])) <= SHARE * abs(float(np.mean(power)))
+                for name, power in runs[i].power_w.items()
+            )
+            if alike or same:
+                found[j] = i
+                break
+    return found
+
+
+def _fingerprints(run: Run) -> dict[int, int]:
+    """One number for each few successive speeds → where they stand; none where speeds come again."""
+    if "speed_m_s" not in run.columns:
+        return {}
+    speed = np.round(run.number("speed_m_s"), 9)
+    speed = speed[np.isfinite(speed)]
+    speed = speed[np.diff(speed, prepend=np.nan) != 0.0]
+    if len(speed) < LEAST + WINDOW:
+        return {}
+    factor = np.uint64(0x9E3779B97F4A7C15)
+    bits = (speed + 0.0).view(np.uint64) * factor
+    mixed = np.zeros(len(bits) - WINDOW + 1, dtype=np.uint64)
+    for k in range(WINDOW):
+        mixed = (mixed ^ (bits[k : k + len(mixed)] >> np.uint64(13 + k))) * factor
+    values, first = np.unique(mixed >> np.uint64(8), return_index=True)
+    return dict(zip(values.tolist(), first.tolist(), strict=True)) if len(values) > UNLIKE * len(mixed) else {}
