@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Covariates
+from missionsim.identify.align import CLOCK_STEPS, uphill
 from missionsim.identify.data import Column
 from missionsim.identify.design import Design
 from missionsim.identify.identification import Identification
@@ -33,8 +35,8 @@ Rows32 = NDArray[np.float32]
 CHUNK = 256
 BLOCK = 60
 """Rows that are whitened by one product of matrices."""
-LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
-DELAYS_S = (-0.2, -0.1, 0.1, 0.2, 0.3)
+LAGS_S = (0.0, 0.3, 0.6)
+DELAYS_S = (-0.4, -0.2, 0.0, 0.2, 0.4)
 CLOCK_NATS = 15.0
 """Rise of the log-likelihood from which on a law moves the clock of meter and motion."""
 
@@ -106,6 +108,7 @@ class Ground:
         """
         source, was = self.model.source, self.model.clock
 
+        @cache
         def score(delay_s: float, lag_s: float) -> float:
             clock = replace(was, delay_s=delay_s, lag_s=lag_s)
             design, columns = source.design(clock, self.chosen), tuple(range(len(self.chosen)))
@@ -115,15 +118,13 @@ class Ground:
 
         if not source.aligned:
             return self
-        best = (score(was.delay_s, was.lag_s), was.delay_s, was.lag_s)
-        first = best[0]
-        for lag in LAGS_S:
-            best = max(best, (score(best[1], lag), best[1], lag))
-        for delay in DELAYS_S:
-            best = max(best, (score(was.delay_s + delay, best[2]), was.delay_s + delay, best[2]))
-        if best[0] < first + CLOCK_NATS:
+        first = score(was.delay_s, was.lag_s)
+        around = [(was.delay_s + delay, lag) for lag in LAGS_S for delay in DELAYS_S]
+        best = max(((was.delay_s, was.lag_s), *around), key=lambda place: score(*place))
+        best = uphill(score, best, 1.0, CLOCK_STEPS, 4, 4)
+        if score(*best) < first + CLOCK_NATS:
             return self
-        clock = replace(was, delay_s=best[1], lag_s=best[2])
+        clock = replace(was, delay_s=best[0], lag_s=best[1])
         model = _refitted(self.model, source.design(clock), self.chosen, self.model.noise)
         return replace(self, model=replace(model, clock=clock))
 
