@@ -203,8 +203,9 @@ class Rounds:
         """Go on at the clock that is seen beside what was added, if left-out runs say so; no meter is ahead of it."""
         new, state = self.state.last.clock, self.state
         old = state.models.clock
-        if not state.taken or new is None or new.delay_s < 0.0:
+        if not state.taken or new is None:
             return
+        new = replace(new, delay_s=max(new.delay_s, min(old.delay_s, 0.0)))
         if max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_MOVES_S:
             return
         later = replace(state.models, clock=new.in_all(len(state.models.runs)), _fits={})

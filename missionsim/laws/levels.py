@@ -14,6 +14,8 @@ from missionsim.physics import Array
 
 LEAST_LEVEL = 0.05
 """Less than this part of the highest level is none."""
+ALIKE = 0.99
+"""From this part of it on every level is the highest, and there are none."""
 TRIED = 5
 """Quantities, best by least squares, whose levels are tried beside those of the best law."""
 
@@ -32,16 +34,20 @@ def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
         levels = [i for i, factor in enumerate(factors) if factor.variable == name]
         forms = [rest] if rest else []
         if search.ground.model.squares is not None and not search.memory:
-            forms += [form for form in _differing(search, levels) if form != rest]
+            # of the quantity of the best law every form: where one floor leads, it bends as that floor asks
+            own = [(i,) for i, f in enumerate(factors) if len(rest) == 1 and f.variable == factors[rest[0]].variable]
+            forms += [form for form in (*_differing(search, levels), *own) if form != rest]
         found = [_with_levels(search, fitted, form, levels) for form in forms if len(form) < len(search.by_size)]
         error, parts, form = min(
             (one for one in found if one is not None), key=lambda one: one[0], default=(math.inf, {}, ())
         )
-        if error > LEAST_BETTER * fitted.errors.with_law:
+        if error > fitted.errors.with_law:
             continue
         wider = Search(search.ground, search.grammar.with_levels(name, parts), search.memory)
         form = (*form, len(factors))
         law = wider.fit(form, fitted.model.noise)
+        if law.errors.with_law > LEAST_BETTER * fitted.errors.with_law:
+            continue
         return wider, Searched(law, tuple(wider.near(law, wider.sized([form]))))
     return None
 
@@ -64,7 +70,8 @@ def _with_levels(
     size = {i: float(shares[k]) * design.layout.unit(k) for i, k in zip(levels, every, strict=True)}
     most = max(size.values())
     parts = {i: own / most if own > max(LEAST_LEVEL * most, 0.0) else 0.0 for i, own in size.items()}
-    several = np.count_nonzero([*parts.values()]) > 1
+    some = [part for part in parts.values() if part]
+    several = len(some) > 1 and min(parts.values()) < ALIKE
     return (left_out(model, len(levels)).with_law, parts, form) if several else None
 
 

@@ -187,14 +187,19 @@ class Search:
         """The fit whose noise predicts left-out runs better: its own, one that begins where the null ended, or where
         both fail, the usual (rows as long as the clock's lag blur what is switched, and an offset of each run that is
         fitted hides a level that all of them share)."""
-        other = self.fit(fitted.form, self.ground.model.noise)
-        rise = max(fitted.rise, other.rise)
+        null = self.ground.model
+        other = self.fit(fitted.form, null.noise)
         better = other if other.errors.with_law < fitted.errors.with_law else fitted
         if self.ground.model.squares is None:
             model = self.ground.at_noise(self.ground.extended(fitted.watts), self.ground.usual())
             usual = replace(better, model=model)
             better = usual if usual.errors.with_law < FAR_BETTER * better.errors.with_law else better
-        return replace(better, rise=rise)
+        # a fit of noise ends where it began to climb: with and without the law, the best of all of them
+        own = [fitted.model.noise, other.model.noise, null.noise]
+        own += [replace(null.noise, gain=n.gain, motion_gain=n.motion_gain) for n in own[:2]]
+        extended = self.ground.extended(fitted.watts)
+        rise = max(log_likelihood(self.ground.at_noise(extended, noise)) for noise in own)
+        return replace(better, rise=rise - max(log_likelihood(replace(null, noise=noise)) for noise in own))
 
     @cached_property
     def without(self) -> float:
