@@ -84,7 +84,7 @@ def test_what_improve_says_is_left_is_what_diagnose_says_of_its_file(root: Path,
     found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
     assert json.dumps(made.last.to_json()) == json.dumps(found.to_json())
     assert found.unexplained.shape in made.stopped
-    assert "(applied; the file has it 0.35 s ahead of the motion" in dict(report(found))["CLOCK"]
+    assert "(applied; the file has it 0.30 s ahead of the motion" in dict(report(found))["CLOCK"]
     # what is told of the slope is what compare sees of it
     (told,) = map(float, re.findall(r"slope .*\(by ([\d.]+) % of the power\)", found.unexplained.shape))
     robot = tmp_path / "improved.yaml"

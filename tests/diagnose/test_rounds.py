@@ -138,7 +138,8 @@ def test_a_law_as_it_was_comes_back_where_no_other_form_predicts_as_well(both: f
     [
         ((0.2, 0.5), (0.2, 0.5)),
         ((0.2, 0.0), (0.2, 0.0)),  # a lag that falls while the delay stays
-        ((-0.2, 0.3), (0.2, 0.3)),  # no meter is ahead of the motion
+        ((-0.002, 0.38), (0.0, 0.38)),  # no meter is ahead of the motion, nor is a lag refused for it
+        ((-0.2, 0.3), (0.2, 0.3)),
         ((0.23, 0.33), (0.2, 0.3)),  # too little to fit anew
         ((0.2, 0.38), (0.2, 0.38)),
         ((0.6, 0.3), (0.2, 0.3)),  # left-out runs are predicted worse

@@ -96,7 +96,7 @@ def test_a_step_rises_through_a_lag_as_an_exponential(lag_s: float) -> None:
     columns = RunColumns.of(run, make_bins(run, 0.5), [step])
     since = np.maximum(np.arange(0.0005, 40.0, 0.001) - 20.0, 0.0)
     exact = (1.0 - np.exp(-since / lag_s)).reshape(80, 500).mean(axis=1)
-    assert averaged(columns, 0.0, lag_s)[0] == pytest.approx(exact, abs=0.06)
+    assert averaged(columns, 0.0, lag_s)[0] == pytest.approx(exact, abs=0.03)
 
 
 def test_intervals_beside_a_gap_have_edges_of_their_own(several: list[RunColumns]) -> None:

@@ -267,15 +267,17 @@ def test_the_clock_of_a_base_that_is_far_off_is_the_one_that_predicts_left_out_r
 
 
 def test_a_meter_that_is_late_and_sluggish_is_both() -> None:
-    runs = []
-    for run in make_runs(3, {"grade": 0.3}, delay_s=1.0):
-        power = run.measured_w.copy()
-        for i in range(1, len(power)):
-            power[i] = power[i - 1] + (1.0 - np.exp(-1.0)) * (power[i] - power[i - 1])
+    """A lag of one row, whose means are those of the exponential within each row."""
+    runs, fall = [], 1.0 - np.exp(-1.0)
+    for run in make_runs(3, {"grade": 0.3}, delay_s=0.6):
+        power, last = run.measured_w.copy(), run.measured_w[0]
+        for i, driven in enumerate(run.measured_w):
+            power[i], last = driven + (last - driven) * fall, last + (driven - last) * fall
         runs.append(replace(run, measured_w=power))
     clock = clock_of(runs)
     assert clock.delay_s > 0.3
     assert clock.lag_s > 0.8
+    assert clock.delay_s + clock.lag_s == pytest.approx(1.6, abs=0.11)
 
 
 def test_two_late_runs_of_six_are_no_clock_of_all() -> None:

@@ -198,6 +198,54 @@ def test_a_level_far_below_the_highest_is_none(monkeypatch: pytest.MonkeyPatch, 
     assert parts == pytest.approx({0: 1.0, 1: 0.5, 2: part})
 
 
+@pytest.mark.parametrize(("second", "told"), [(0.98, True), (0.995, False)])
+def test_levels_that_are_alike_are_none(monkeypatch: pytest.MonkeyPatch, second: float, told: bool) -> None:
+    """A law of one level everywhere has no level of its own for any."""
+    monkeypatch.setattr(levels, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
+    design = SimpleNamespace(phi=np.eye(2), layout=SimpleNamespace(unit=lambda _: 10.0))
+    gram = SimpleNamespace(coefficients=lambda _: (np.array([0.2, 0.2 * second]), None))
+    ground = SimpleNamespace(chosen=(), extended=lambda _: design)
+    ground.at_noise = lambda *_: SimpleNamespace(gram=gram, chosen=())
+    own = SimpleNamespace(ground=ground, columns=lambda _: np.eye(2))
+    found = levels._with_levels(own, SimpleNamespace(model=SimpleNamespace(noise=None)), (), range(2))
+    assert (found is not None) is told
+
+
+@dataclass(frozen=True)
+class Level:
+    """A noise of one number, with the parts of it that differ between runs."""
+
+    name: str
+    gain: float = 0.1
+    motion_gain: float = 0.1
+
+
+@dataclass(frozen=True)
+class Noisy:
+    law: bool
+    noise: Level
+    squares: str = "far from right"
+
+
+@pytest.mark.parametrize(
+    ("with_law", "without", "rise"),
+    [
+        ({"null": 41.0, "law": -14.0}, {"null": 0.0, "law": -900.0}, 41.0),  # its own fit ended at a poor noise
+        ({"null": -6.0, "law": 93.0}, {"null": 0.0, "law": 99.0}, -6.0),  # the fit of the null did
+    ],
+)
+def test_a_law_rises_where_noise_is_alike(
+    monkeypatch: pytest.MonkeyPatch, with_law: dict[str, float], without: dict[str, float], rise: float
+) -> None:
+    monkeypatch.setattr(search, "log_likelihood", lambda m: (with_law if m.law else without)[m.noise.name])
+    ground = SimpleNamespace(model=Noisy(False, Level("null")), extended=lambda _: None)
+    ground.at_noise = lambda _, noise: Noisy(True, noise)
+    fitted = search.Fitted((0,), Noisy(True, Level("law")), np.ones(3), with_law["law"], 0.0)  # type: ignore[arg-type]
+    object.__setattr__(fitted, "errors", SimpleNamespace(with_law=1.0))
+    own = SimpleNamespace(ground=ground, fit=lambda *_: fitted, without=without["null"])
+    assert Search.settled(own, fitted).rise == rise  # type: ignore[arg-type]
+
+
 def test_five_quantities_have_levels_tried() -> None:
     rng = np.random.default_rng(1)
     rows = np.vstack([rng.random((7, 40)), np.repeat(np.eye(2), 20, axis=1)])
