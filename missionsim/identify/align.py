@@ -31,7 +31,7 @@ LAG_NODES = (
     (0.117749, 0.414886, 0.756347, 1.169002, 1.672137, 2.305652, 3.236879, 5.173300),
     (0.234149, 0.208057, 0.174883, 0.141027, 0.103961, 0.073272, 0.045579, 0.019072),
 )
-"""Delays, in times a first-order lag, and their weights: steps averaged over a quarter of it err by 3 %, over one 1 %."""
+"""Delays, in times a first-order lag, and their weights: steps averaged over a quarter of it err by 3 %."""
 Weights = tuple[Any, Array]
 """Of one clock: a sparse matrix (edges, 2 * edges of the rows) for the stacked curves, and the time in the rows of each
 edge [s], shape (edges,)."""
@@ -348,8 +348,7 @@ def uphill(
 
 def still(runs: Sequence[RunColumns]) -> bool:
     """Whether no column changes within any run: such a power is neither late nor early."""
-    rows = [row for run in runs for row in run.values]
-    return all(float(np.ptp(row)) <= STILL * float(np.max(np.abs(row), initial=0.0)) for row in rows)
+    return all(np.ptp(row) <= STILL * np.max(np.abs(row), initial=0.0) for run in runs for row in run.values)
 
 
 def find_clock(runs: Sequence[RunColumns], step_s: float) -> Place:
@@ -357,9 +356,9 @@ def find_clock(runs: Sequence[RunColumns], step_s: float) -> Place:
 
     Row 0 of each run's columns is the base model; keeping every candidate in leaves a real inertia effect alone.
     """
-    reach = max(1.0, 1.0 * step_s)
-    if len(runs) > CLOCK_RUNS:
-        runs = runs[:: -(-len(runs) // 4)]  # a start is all that is wanted; the model refines it with every run
+    reach = max(1.0, step_s)
+    # a start is all that is wanted; the model refines it with every run
+    runs = runs[:: -(-len(runs) // 4)] if len(runs) > CLOCK_RUNS else runs
     score = cache(alignment(runs, step_s))
     grid = [(round(0.2 * d * reach, 4), round(lag * reach, 4)) for lag in (0.0, 0.2, 0.45, 0.8) for d in range(-4, 5)]
     centre = max(grid, key=lambda place: score(*place))

@@ -218,7 +218,7 @@ def as_near(run: Run, others: Sequence[Run], level: Mapping[str, float]) -> list
     usual = float(np.median([*level.values()]))
     off = level[run.run] - usual
     for name, data, _ in _causes(run, others):
-        have = [one for one in others if name in one.columns]
+        have = [one for one in others if name in one.columns and not _empty(one.columns[name])]
         if isinstance(data, Labels):
             same = {one.run: one.columns[name] for one in have}
             near = [run for run, own in same.items() if isinstance(own, Labels) and _mostly(own) == _mostly(data)]
@@ -228,6 +228,10 @@ def as_near(run: Run, others: Sequence[Run], level: Mapping[str, float]) -> list
         if near and float(np.median([level[one] for one in near]) - usual) * np.sign(off) > NEARLY * abs(off):
             found.append(name)
     return found
+
+
+def _empty(data: Array | Labels) -> bool:
+    return not (np.any(data.codes >= 0) if isinstance(data, Labels) else np.isfinite(data).any())
 
 
 def _mostly(data: Labels) -> str:
@@ -240,7 +244,8 @@ def _causes(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Array | Labe
     """Columns of a run that may be why it draws more, but those of motion, and what other runs have there."""
     for name, data in run.columns.items():
         have = [one.columns[name] for one in others if name in one.columns]
-        if name not in _MOTION and not is_switch(name) and may_be_cause(name) and len(have) >= FEWEST and run.rows:
+        sensed = name not in _MOTION and not is_switch(name) and may_be_cause(name)
+        if sensed and len(have) >= FEWEST and not _empty(data):
             yield name, data, have
 
 

@@ -369,12 +369,13 @@ def _explained(driven: Driven, runs: Sequence[Driven], battery: str, offset: flo
         if isinstance(data, Labels) or not (load or name.startswith("temp_")):
             continue
         others = [one for one in runs if one is not driven and name in one.run.columns]
-        if len(others) < FEWEST:
+        there = np.concatenate([data[:0], *(one.run.number(name) for one in others)])
+        if len(others) < FEWEST or not np.isfinite(data).any() or not np.isfinite(there).any():
             continue
-        there = np.concatenate([one.run.number(name) for one in others])
         gaps = np.concatenate([one.measured_w[battery] - one.model_w[battery] for one in others])
-        edges = np.linspace(*np.quantile(np.r_[data, there], [0.0, 1.0]), BANDS + 1)[1:-1]
-        own, theirs = np.digitize(data, edges), np.digitize(there, edges)
+        low, high = np.nanmin(np.r_[data, there]), np.nanmax(np.r_[data, there])
+        edges = np.linspace(low, high, BANDS + 1)[1:-1]
+        own, theirs = (np.where(np.isfinite(x), np.digitize(x, edges), -1) for x in (data, there))
         shared = [
             b for b in range(BANDS) if min(np.count_nonzero(own == b), np.count_nonzero(theirs == b)) >= LEAST_ROWS
         ]

@@ -428,3 +428,14 @@ def test_a_run_that_carries_most_is_not_odd(case: str, seed: int, tmp_path: Path
 @pytest.mark.filterwarnings("error")
 def test_runs_without_any_power_are_not_odd_in_their_unit(runs: list[Run]) -> None:
     assert unfit_runs([replace(run, power_w={"robot": 0.0 * run.power_w["robot"]}) for run in runs]) == {}
+
+
+def test_a_column_without_a_value_excuses_nothing(runs: list[Run]) -> None:
+    """Nor does one that lacks some."""
+    hot = in_weather([20.0, 10.0, 24.0, 14.0, 22.0, 17.0, 19.0], ["dry"] * 7, 0.0, 0.0, odd=6)
+    gone = [replace(run, columns={**run.columns, "temp_motor_c": np.full(len(run), np.nan)}) for run in hot]
+    rows = np.where(np.arange(len(hot[0])) % 3, np.nan, 20.0)
+    some = [replace(run, columns={**run.columns, "temp_motor_c": rows}) for run in hot]
+    for made in (gone, some):
+        (line,) = told(made)
+        assert line.startswith("run_06: ")
