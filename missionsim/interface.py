@@ -303,21 +303,15 @@ def improve(
 @_in_one_thread
 def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Calibration]:
     """Refit a robot's parameters; see ``missionsim calibrate --robot``."""
-    from missionsim.diagnose.split import read_runs
-    from missionsim.fit.calibrate import refit_robot
-    from missionsim.inputs.loading import load_robot
+    from missionsim.fit.files import calibration_json, refit_files
 
-    runs, left_out = read_runs(load_robot(robot), _paths(logs))
-    _warn(left_out)
-    done = refit_robot(str(robot), runs, battery)
+    done = refit_files(str(robot), _paths(logs), battery, tell=_warn)
     keys = "name value sd before unit"
     rows = [{"battery": f.battery, **fields_of(p, keys)} for f in done.fits for p in f.parameters.values()]
     line = "; ".join(
         f"{f.battery}: {rounded(f.before.power_rmse_w)} to {watts(f.after.power_rmse_w)}" for f in done.fits
     )
-    fits = {fit.battery: fit.to_json() for fit in done.fits}
-    data = {"schema": "missionsim.calibration/1", "batteries": fits, "remarks": list(done.remarks)}
-    return Answer(done, line, lambda: rows, lambda: data, ("name", "value"), done.text)
+    return Answer(done, line, lambda: rows, lambda: calibration_json(done), ("name", "value"), done.text)
 
 
 def plan(task: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[PlanAnswer]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
@@ -16,16 +17,14 @@ from missionsim.compare.comparison import thousandfold
 from missionsim.errors import Fault, InputError
 from missionsim.exchange.mcap import write_comparison
 from missionsim.files import write_text
-from missionsim.fit.calibrate import NewRobot, calibrate_new, refit_robot
+from missionsim.fit.calibrate import NewRobot
+from missionsim.fit.files import calibrate_files, calibration_json, refit_files
 from missionsim.fit.parameters import ModelFit
 from missionsim.inputs.loading import load_robot
-from missionsim.inputs.power import build_power_model
-from missionsim.logs import describe, read_logs
 from missionsim.numerals import counted, meter_clock, rounded, watts
 from missionsim.report.compare_files import print_comparison, write_figures, write_tables
 from missionsim.report.compare_page import compare_page
 from missionsim.report.terminal import console, show_table
-from missionsim.runs.admit import admit
 
 
 def compare(
@@ -145,33 +144,19 @@ def calibrate(
         raise InputError([Fault("", 0, 0, f"{name} belongs to --new", "", str(value)) for name, value in other.items()])
     if not logs:
         raise InputError.single("give at least one log", allowed="files or folders")
-    given = None if robot is None else build_power_model(load_robot(robot))
-    refused: list[str] = []
-    tables, left_out = admit(read_logs(list(logs), left_out=refused), given)
-    left_out += refused
-    tell_left_out(left_out, to)
+    tell = partial(tell_left_out, to=to)
     if new is not None and base is not None:
-        measured = {name for log in tables for name in log.power_w}
-        battery = battery or (measured.pop() if len(measured) == 1 else "robot")
-        wanted = NewRobot(new, base, battery, mass, capacity, max_speed, drive)
-        made = calibrate_new(wanted, tables)
-        # what is odd is seen against a model, of a new robot against that of all its runs
-        tables, odd = admit(tables, made.fit.model)
-        if odd:
-            tell_left_out(odd, to)
-            made, left_out = calibrate_new(wanted, tables), [*left_out, *odd]
+        made = calibrate_files(NewRobot(new, base, battery or "", mass, capacity, max_speed, drive), logs, tell=tell)
     else:
-        made = refit_robot(str(robot), tables, battery)
-    fits, remarks = made.fits, [*describe(tables), *made.remarks]
+        made = refit_files(str(robot), logs, battery, tell=tell)
     write_text(out, made.text)
-    made_of = {"robot_file": str(out), "batteries": {fit.battery: fit.to_json() for fit in fits}}
-    to.emit({"schema": "missionsim.calibration/1", **made_of, "remarks": remarks, "left_out": left_out})
+    to.emit(calibration_json(made, robot_file=str(out)))
     if to.text:
-        _print(fits, remarks, out)
-    return 1 if left_out else 0
+        _print(made.fits, made.remarks, out)
+    return 1 if made.left_out else 0
 
 
-def _print(fits: Sequence[ModelFit], remarks: list[str], out: Path) -> None:
+def _print(fits: Sequence[ModelFit], remarks: Sequence[str], out: Path) -> None:
     terminal = console()
     for fit in fits:
         rows = []

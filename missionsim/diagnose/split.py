@@ -16,10 +16,11 @@ from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
+from missionsim.fit.files import read_runs
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
 from missionsim.labels import Labels
 from missionsim.numerals import counted
-from missionsim.runs.admit import admit, admit_to_test
+from missionsim.runs.admit import admit_to_test
 from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
 from missionsim.runs.drive import filled
 from missionsim.runs.run import Bounded, Run
@@ -54,21 +55,6 @@ def read_split(
     runs, left_out = read_runs(robot, logs)
     split = choose_split(runs, holdout)
     return replace(split, left_out=(*left_out, *split.left_out), given=tuple(runs))
-
-
-def read_runs(robot: RobotSpec, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
-    """The runs of some logs that a robot may learn from, and in words what was left out."""
-    from missionsim.inputs.power import build_power_model
-    from missionsim.logs import Remark, read_logs
-
-    bounded = Bounded()
-    refused: list[str] = []
-    read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded, left_out=refused))
-    runs, left_out = admit(read, build_power_model(robot))
-    if averaged:
-        note = Remark("averaged", "time_s", averaged, "shorter rows tell no more", "note")
-        runs[0] = replace(runs[0], remarks=(*runs[0].remarks, note))
-    return runs, [*left_out, *refused]
 
 
 def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None) -> Split:

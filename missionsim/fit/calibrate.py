@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from missionsim.effects.base_terms import ALIASES
 from missionsim.effects.covariates import elapsed, is_moving
@@ -69,11 +70,12 @@ class NewRobot:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted robot file: its text, one fit a battery, remarks."""
+    """A fitted robot file: its text, one fit a battery, remarks, runs that were left out and why."""
 
     text: str
     fits: tuple[ModelFit, ...]
     remarks: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
 
     @property
     def fit(self) -> ModelFit:
@@ -354,24 +356,24 @@ def _text(
         "batteries:",
         f"  {_word(robot.battery)}: {{capacity: {capacity}}}",
         "motion:",
-        f"  battery: {robot.battery}",
+        f"  battery: {_word(robot.battery)}",
         "  model: expression",
         f"  power: {json.dumps(robot.base)}",
         *(["  standing: standing"] if standing else []),
         "  parameters:",
-        *(f"    {name}: {_number(values[name])}" for name in base),
+        *(f"    {_word(name)}: {_number(values[name])}" for name in base),
     ]
     if components:
         lines.append("components:")
     for name, units in components.items():
         number = _number(values.get(f"{name}.power"), "W")
         lines += [
-            f"  {name}:",
+            f"  {_word(name)}:",
             *([f"    units: {units}"] if units > 1 else []),
             "    loads:",
-            f"      - {{battery: {robot.battery}, power: {number}}}",
+            f"      - {{battery: {_word(robot.battery)}, power: {number}}}",
         ]
-    sensors = ", ".join(f"{name}: {units}" for name, units in components.items())
+    sensors = ", ".join(f"{_word(name)}: {units}" for name, units in components.items())
     lines += [
         "schemes:",
         "  drive:",
@@ -382,8 +384,8 @@ def _text(
 
 
 def _word(text: str) -> str:
-    """A name as YAML has it, in quotes where it is none."""
-    return text if text.isidentifier() else json.dumps(text)
+    """A name as YAML has it, in quotes where some YAML reads it as something else (`true`, `null`, `yes`)."""
+    return text if text.isidentifier() and yaml.safe_load(text) == text else json.dumps(text)
 
 
 def _number(value: FittedParameter | None, unit: str = "") -> str:
