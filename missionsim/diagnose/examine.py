@@ -10,6 +10,7 @@ import numpy as np
 
 from missionsim.diagnose.features import Features, at_size, make_features, steady_speed
 from missionsim.diagnose.heldout import Models
+from missionsim.diagnose.manoeuvres import sharpest
 from missionsim.diagnose.split import Split, lacking, stretches, with_same_causes
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
@@ -21,10 +22,12 @@ from missionsim.identify.design import TooShortError
 from missionsim.identify.identification import Identification, identify, refutes
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import FEWEST_INTERVALS, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
+from missionsim.laws.experiment import CURVATURE
 from missionsim.laws.proposal import propose
 from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
+    from missionsim.effects.covariates import Covariates
     from missionsim.effects.model import ModelParameter
     from missionsim.inputs.robot import RobotSpec
 
@@ -66,6 +69,22 @@ class Subject:
         body = self.robot.body
         given = {"max_speed": body.max_speed, "max_yaw_rate": body.max_yaw_rate, "acceleration": body.max_acceleration}
         return {name: limit.value for name, limit in given.items() if limit is not None}
+
+    @property
+    def turns_on_the_spot(self) -> bool:
+        """Whether its drive can."""
+        return self.robot.body.drive != "ackermann"
+
+    def most(self, covariates: Sequence[Covariates]) -> dict[str, float]:
+        """What it can drive at most, by column; and the sharpest curve of these logs where it cannot turn otherwise."""
+        body = self.robot.body
+        given = {
+            "speed_m_s": body.max_speed,
+            "lateral_speed_m_s": body.max_lateral_speed,
+            "payload_kg": body.max_payload,
+        }
+        most = {name: limit.value for name, limit in given.items() if limit is not None}
+        return most if self.turns_on_the_spot else most | {CURVATURE: sharpest(covariates)}
 
     def unknown(self) -> Subject:
         """The robot as one of whose base nothing is known beside the logs."""
@@ -113,12 +132,14 @@ class Examined:
     held: tuple[Run, ...]
     priors: Mapping[str, float]
     """Of the base parameters, as the search began with them."""
+    most: Mapping[str, float]
+    """By column, what the robot can drive at most."""
     _laws: list[Proposal | None] = field(default_factory=list, repr=False, compare=False)
 
     def law(self) -> Proposal | None:
         """The law that the identification lacks; it is looked for once."""
         if not self._laws:
-            self._laws.append(propose(self.found, self.features.covariates))
+            self._laws.append(propose(self.found, self.features.covariates, self.most))
         return self._laws[0]
 
     def known_as(self, subject: Subject, split: Split) -> Examined | None:
@@ -190,4 +211,5 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
         remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
     models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
     features = replace(features, remarks=(*features.remarks, *remarks))
-    return Examined(features, found, models, tuple(log for log in held if log.run not in untested), priors)
+    tested = tuple(log for log in held if log.run not in untested)
+    return Examined(features, found, models, tested, priors, subject.most(features.covariates))

@@ -113,7 +113,11 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             may_be = dict.fromkeys(name for one in left.structures for name in one.effects)
             proposed += propose(bench, tuple(may_be))
         names = [name for covariate in on for name in _SHOWS.get(covariate, ())]
-        for one in [m for m in library(bench.site) if m.name in names][:2]:
+        shown = [m for m in library(bench.site) if m.name in names]
+        if names and not shown and np.isfinite(bench.site.curvature_1_m):
+            why = "it cannot turn on the spot, and these logs have no curve: log some"
+            proposed.append(Experiment(on, f"no manoeuvre that this robot can drive is known {form}: {why}"))
+        for one in shown[:2]:
             parts = tuple(part.to_json() for part in one.parts)
             told = f"{one.do}, {form}"
             proposed.append(Experiment(on, told, minutes=one.duration_s / 60.0, manoeuvre=parts))

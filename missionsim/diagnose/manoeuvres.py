@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,8 @@ DEFAULT_ACCELERATION_M_S2 = 0.3
 USUAL_RAMP, RAMPS, SHORTEST_STOP_S = 0.7, 4.0, 12.0
 """Acceleration of a manoeuvre in parts of the hardest that the logs hold both ways; time from stop to stop in times
 that to reach the speed, so that half of it is driven at that speed; the shortest such time (assumed)."""
+FAST, STRAIGHT_1_M = 1.0 / 3.0, 0.01
+"""Part of a run's top speed from which on its curves are looked at; a curve that is none, of 100 m (assumed)."""
 FOLLOWS = frozenset({"moving", "moving_time_s", "starts", "starts_per_s", "mass_kg", "load_w", "drive_w"})
 """What follows from the motion and load of a manoeuvre, however it usually was in the logs."""
 
@@ -89,6 +91,9 @@ class Site:
     acceleration_m_s2: float
     components: Mapping[str, int]
     """Most units of each component that was logged."""
+    _: KW_ONLY
+    curvature_1_m: float = np.inf
+    """The sharpest curve that it can drive; without a limit it turns on the spot."""
 
     @property
     def cruise_m_s(self) -> float:
@@ -96,8 +101,20 @@ class Site:
         return round(min(0.67 * self.max_speed_m_s, max(0.5, 0.5 * self.max_speed_m_s)), 2)
 
 
-def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float]) -> Site:
-    """What the logs show of the place, within the robot's ``max_speed``, ``max_yaw_rate`` and ``acceleration``."""
+def sharpest(covariates: Sequence[Covariates]) -> float:
+    """The sharpest curve of some runs [1/m]; what a meter of turns says of a robot that creeps is none."""
+    found = [0.0]
+    for cov in covariates:
+        speed, yaw = (np.abs(np.asarray(cov.get(name, 0.0), dtype=float)) for name in ("speed_m_s", "yaw_rate_rad_s"))
+        fast = speed > FAST * np.percentile(speed, 99.5)
+        if np.any(fast):
+            found.append(float(np.percentile((np.broadcast_to(yaw, speed.shape)[fast]) / speed[fast], 99.5)))
+    return max(found)
+
+
+def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float], on_the_spot: bool = True) -> Site:
+    """What the logs show of the place, within the robot's ``max_speed``, ``max_yaw_rate`` and ``acceleration``, and in
+    no sharper curves than in the logs where it cannot turn `on_the_spot`."""
     names = set.intersection(*(set(cov) for cov in covariates))
     usual: dict[str, Any] = {}
     low: dict[str, float] = {}
@@ -129,6 +146,7 @@ def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float]) -> Si
         spin,
         limits.get("acceleration", ramp if ramp > 0.0 else DEFAULT_ACCELERATION_M_S2),
         components,
+        curvature_1_m=np.inf if on_the_spot else sharpest(covariates),
     )
 
 
@@ -165,10 +183,13 @@ def library(site: Site) -> list[Manoeuvre]:
     add("stand and drive", f"stand still for 90 s, then drive straight{without} at {v:g} m/s for 90 s", *half_and_half)
     if "yaw_rate_rad_s" in usual:
         rates = tuple(round(f * site.max_yaw_rate_rad_s, 3) for f in (0.3, 0.6, 0.95))
-        told = ", ".join(f"{r:g}" for r in rates)
-        add("spin", f"turn on the spot{without} at {told} rad/s, 1 min each", Part(TOTAL_S, (), rates, set=plain))
-        curve = f"drive{without} at {v:g} m/s, 90 s straight and 90 s in circles at {rates[1]:g} rad/s"
-        add("straight and curved", curve, *(Part(90.0, (v,), turn, set=plain) for turn in ((), (rates[1],))))
+        if np.isinf(site.curvature_1_m):
+            told = ", ".join(f"{r:g}" for r in rates)
+            add("spin", f"turn on the spot{without} at {told} rad/s, 1 min each", Part(TOTAL_S, (), rates, set=plain))
+        if site.curvature_1_m > STRAIGHT_1_M:
+            rate = min(rates[1], float(np.floor(1e3 * v * site.curvature_1_m) / 1e3))
+            curve = f"drive{without} at {v:g} m/s, 90 s straight and 90 s in circles at {rate:g} rad/s"
+            add("straight and curved", curve, *(Part(90.0, (v,), turn, set=plain) for turn in ((), (rate,))))
     if high.get("payload_kg", 0.0) > 0.0:
         load = round(high["payload_kg"], 1)
         do = f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg"

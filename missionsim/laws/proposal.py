@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,15 @@ from missionsim.glossary import column_of
 from missionsim.identify.estimates import Z95
 from missionsim.identify.forward import LOGGED
 from missionsim.identify.identification import Identification
-from missionsim.identify.noise import mean_variance
-from missionsim.identify.proposed import CLOCKS, FAR_BETTER, Curve, Law, Proposal, plain, state
+from missionsim.identify.proposed import CLOCKS, FAR_BETTER, Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
+from missionsim.laws.experiment import POINTS, experiment
 from missionsim.laws.factors import evaluate, make_grammar
 from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
-from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import logged_name, repeated
 
@@ -53,17 +51,15 @@ LEADS = 0.9
 TWIN = 0.985
 OWN_METER = 0.99
 """Correlation with the measured power from which on a column is that power, or the current of it."""
-MINUTES = (3, 6, 12)
-"""Lengths of the two drives that are to tell forms apart."""
-SEEN_SD = 2.0
-"""Standard deviations of the difference of their means that the forms must differ by."""
-POINTS = 41
 
 
-def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposal | None:
+def propose(
+    found: Identification, covariates: Sequence[Covariates], most: Mapping[str, float] | None = None
+) -> Proposal | None:
     """The law that an identification lacks, or None where nothing passes every gate.
 
     `covariates`: covariates of every run that was given to it, at the raw rate, with those derived from the log.
+    `most`: by column, what the robot can drive at most.
     """
     ground = ground_of(found, covariates)
     # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library;
@@ -71,7 +67,7 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposal
     apart = any(one.covariate == "run" for one in found.unexplained.structures)
     skip = {*repeated(ground.covariates), *_own_meter(ground)}
     grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None and not apart)
-    plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
+    plain, late = (_propose(ground, grammar, memory, found, most=most) for memory in (False, True))
     if late is None:
         return plain and plain[0]
     if plain is None:
@@ -133,7 +129,13 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
 
 
 def _propose(
-    ground: Ground, grammar: Grammar, memory: bool, found: Identification, *, once_more: bool = True
+    ground: Ground,
+    grammar: Grammar,
+    memory: bool,
+    found: Identification,
+    *,
+    once_more: bool = True,
+    most: Mapping[str, float] | None = None,
 ) -> tuple[Proposal, Fitted, Ground] | None:
     """A proposal, and the fit that it rests on."""
     search = Search(ground, grammar, memory)
@@ -171,7 +173,7 @@ def _propose(
         # what leads and fails may hide what holds
         lead = {*search.grammar.variables(near[0].form)} - {"speed_m_s"}
         rest = grammar.without(lead) if once_more and lead else None
-        return None if rest is None else _propose(ground, rest, memory, found, once_more=False)
+        return None if rest is None else _propose(ground, rest, memory, found, once_more=False, most=most)
     ground, errors = search.ground, fitted.errors
     relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
     laws = tuple(_law(one, near[0], fitted.share, relative, search) for one in near)
@@ -194,7 +196,7 @@ def _propose(
         left_out_energy_pct=(was.energy_without, errors.energy_with),
         better=errors.better,
         runs=errors.acting,
-        experiment=_experiment(laws, curve, possible, found.noise),
+        experiment=experiment(laws, curve, possible, found.noise, most),
         instead_of=instead,
     )
     return made, fitted, ground
@@ -339,37 +341,3 @@ def _curve(laws: Sequence[Law], ground: Ground, relative: float) -> Curve | None
     spans = {n: (float(ranges[n][0]), float(ranges[n][-1])) for n in others if n in ranges and not n.startswith("on_")}
     unit, usual = column[0].unit if column is not None else "", float(typical[lead])
     return Curve(lead, unit, at, power_w, low, high, others, usual, spans=spans)
-
-
-def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str], noise: Mapping[str, float]) -> str:
-    """Where the forms differ most, in words, and how long to drive there; or that no drive shows it."""
-    lead = plain(curve.variable) if curve is not None else "the rest"
-    if possible:
-        told = " and ".join(plain(name) for name in possible)
-        return f"repeat one drive of 3 min with {told} changed and {lead} as it was: only some forms depend on it"
-    if curve is None or len(laws) < 2:
-        return ""
-    column = column_of(curve.variable)
-    most = np.inf if column is None else column[0].high
-    x = np.linspace(curve.x[0], min(curve.x[0] + 1.4 * (curve.x[-1] - curve.x[0]), most), 2 * POINTS)
-    # the other quantities as they usually are, or at an end of what was driven
-    ends = [[(name, usual)] for name, usual in curve.at.items()]
-    ends = [[one[0], *((one[0][0], end) for end in curve.spans.get(one[0][0], ()))] for one in ends]
-    best_w, at, beside = -np.inf, "", ""
-    for others in product(*ends):
-        curves = [law.k * evaluate(law.formula, {**dict(others), curve.variable: x}, len(x)) for law in laws]
-        gap = np.ptp(np.vstack(curves), axis=0)
-        if gap.max() > best_w:
-            best_w, at = float(gap.max()), state(curve.variable, float(x[int(np.argmax(gap))]))
-            moved = [state(name, value) for name, value in others if value != curve.at[name]]
-            beside = f"{', '.join(moved)}, the rest as usual" if moved else "the rest as usual"
-    for minutes in MINUTES:
-        # the difference of two means has twice the variance of each
-        shown_w = SEEN_SD * noise["sd_w"] * float(np.sqrt(2.0 * mean_variance(noise, 60.0 * minutes)))
-        if best_w >= shown_w:
-            drive = f"{minutes} min at {at} and {minutes} min at half of it"
-            return f"{drive}, {beside}: there the forms differ by {watts(best_w, 2)}"
-    return (
-        f"no drive near the range of these logs tells the forms apart: they differ by {watts(best_w, 2)} at most ("
-        f"{at}, {beside}), and {MINUTES[-1]} min each there and at half of it resolve {watts(shown_w, 2)}; take any"
-    )

@@ -91,6 +91,40 @@ def test_a_car_is_not_asked_to_stop_more_often_than_it_can() -> None:
     assert "with a full stop every 12 s" in robot.do
 
 
+def test_a_car_is_not_asked_to_turn_on_the_spot() -> None:
+    """Nor in tighter circles than it drove, which its yaw rate alone does not tell."""
+    turning = covariates(yaw_rate_rad_s=np.where(np.arange(200) % 50 < 25, 0.3, -0.1))
+    robot = {m.name: m for m in library(site_of([turning], LIMITS))}
+    assert {"spin", "straight and curved"} <= set(robot)
+    site = site_of([turning], LIMITS, on_the_spot=False)
+    car = {m.name: m for m in library(site)}
+    assert set(robot) - set(car) == {"spin"}
+    assert "in circles at 0.216 rad/s" in robot["straight and curved"].do
+    for radius_m in (2.5, 5.0):
+        turned = covariates(yaw_rate_rad_s=np.tile(np.repeat([0.0, 0.5], 50), 2) / radius_m)
+        narrow = site_of([turned], LIMITS, on_the_spot=False)
+        curve = next(m for m in library(narrow) if m.name == "straight and curved")
+        (rate,) = curve.parts[1].yaw_rates_rad_s
+        assert rate <= narrow.cruise_m_s / radius_m + 1e-9
+    assert "straight and curved" not in {m.name for m in library(site_of([covariates()], LIMITS, on_the_spot=False))}
+
+
+def test_of_a_car_that_never_turned_it_is_said_that_no_drive_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experiments, "propose", lambda *_: [])
+    left = SimpleNamespace(depends_on=["yaw_rate_rad_s"], structures=[])
+    for on_the_spot, told in ((True, "turn on the spot"), (False, "no manoeuvre that this robot can drive")):
+        site = site_of([covariates()], LIMITS, on_the_spot=on_the_spot)
+        bench = SimpleNamespace(site=site, features=SimpleNamespace(candidates=[]))
+        assert experiments.next_experiments(bench, [], left)[0].do.startswith(told)
+
+
+def test_the_robot_file_says_what_its_drive_can() -> None:
+    robot = load_robot("pioneer3dx")
+    assert Subject.of(robot).turns_on_the_spot
+    car = robot.model_copy(update={"body": robot.body.model_copy(update={"drive": "ackermann"})})
+    assert not Subject.of(car).turns_on_the_spot
+
+
 def test_a_manoeuvre_stands_and_weighs_as_it_says() -> None:
     model = Subject.of(load_robot("pioneer3dx")).model
     logged = covariates(payload_kg=np.repeat([0.0, 5.0], 100))

@@ -23,9 +23,9 @@ from missionsim.identify.proposed import Curve, Law, Proposal, plain
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
 from missionsim.labels import Labels
+from missionsim.laws.experiment import experiment
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.grammar import Grammar, unit_of
-from missionsim.laws.proposal import _experiment
 
 from .study import diagnose, held_by_band, judge
 from .world import LAWS, Made, make
@@ -321,7 +321,7 @@ def test_no_drive_asks_for_more_than_can_be() -> None:
     forms = [replace(law().first, formula=f, k=k) for f, k in (("k * cpu_load", 10.0), ("k * cpu_load**3", 20.0))]
     curve = Curve("cpu_load", "1", (0.1, 0.95), (1.0, 9.5), (0.9, 9.0), (1.1, 10.0), {}, 0.5)
     noise = {"sd_w": 0.1, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3}
-    drive = _experiment(forms, curve, (), noise)
+    drive = experiment(forms, curve, (), noise)
     assert drive.startswith("3 min at processor load 1.0 and 3 min at half of it")
 
 
@@ -331,10 +331,35 @@ def test_forms_that_no_meter_tells_apart_ask_for_no_drive() -> None:
     curve = Curve("slope_rad", "rad", (0.0, 0.2), (0.0, 2.0), (0.0, 1.5), (0.0, 2.5), {"speed_m_s": 1.0}, 0.1,
                   spans={"speed_m_s": (0.5, 2.0)})  # fmt: skip
     noise = {"sd_w": 0.3, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3}
-    drive = _experiment((one, other), curve, (), noise)
+    drive = experiment((one, other), curve, (), noise)
     assert drive.startswith("3 min at slope 0.28 rad and 3 min at half of it, speed 2.0 m/s, the rest as usual")
     assert drive.endswith("there the forms differ by 2.8 W")
-    none = _experiment((one, other), curve, (), noise | {"sd_w": 30.0})
+    none = experiment((one, other), curve, (), noise | {"sd_w": 30.0})
     assert none.startswith("no drive near the range of these logs tells the forms apart: they differ by 2.8 W at most")
-    longer = _experiment((one, other), curve, (), noise | {"sd_w": 3.6})
+    longer = experiment((one, other), curve, (), noise | {"sd_w": 3.6})
     assert longer.startswith("6 min at slope")
+
+
+def test_no_drive_asks_for_what_the_robot_cannot() -> None:
+    """Forms of speed were told apart at 1.4 times the speed of the logs, and turns at any speed."""
+    noise = {"sd_w": 0.01, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3}
+    powers = ("k * abs(speed_m_s)", "k * abs(speed_m_s)**3")
+    forms = [replace(law().first, formula=f, k=k) for f, k in zip(powers, (10.0, 8.0), strict=True)]
+    curve = Curve("speed_m_s", "m/s", (0.1, 1.5), (1.0, 15.0), (0.9, 13.0), (1.1, 17.0), {}, 0.5)
+    assert experiment(forms, curve, (), noise).startswith("3 min at speed 2.1 m/s")
+    assert experiment(forms, curve, (), noise, {"speed_m_s": 1.59}).startswith("3 min at speed 1.5 m/s")
+    of = ("k * abs(yaw_rate_rad_s)", "k * abs(yaw_rate_rad_s) * abs(speed_m_s)")
+    turns = [replace(law().first, formula=f, k=10.0) for f in of]
+    curve = Curve("yaw_rate_rad_s", "rad/s", (0.0, 1.0), (0.0, 9.0), (0.0, 8.0), (0.0, 10.0), {"speed_m_s": 1.0}, 0.5,
+                  spans={"speed_m_s": (0.1, 2.0)})  # fmt: skip
+    assert experiment(turns, curve, (), noise).startswith("3 min at turn rate 1.4 rad/s and 3 min at half of it, sp")
+    car = {"curvature_1_m": 0.5, "speed_m_s": 1.8}
+    told = "3 min at turn rate 0.90 rad/s and 3 min at half of it, speed 1.8 m/s, the rest as usual"
+    assert experiment(turns, curve, (), noise, car).startswith(told)
+    alone = [replace(law().first, formula=f, k=10.0) for f in ("k * abs(yaw_rate_rad_s)", "k * yaw_rate_rad_s**2")]
+    only = replace(curve, at={}, spans={})
+    assert experiment(alone, only, (), noise).startswith("3 min at turn rate 1.4 rad/s")
+    assert not experiment(alone, only, (), noise, car).startswith("3 min at turn rate 1.4 rad/s")
+    standing = replace(curve, x=(0.2, 1.0), at={"speed_m_s": 0.0}, spans={})
+    none = "no drive that this robot can do tells the forms apart; take any"
+    assert experiment(turns, standing, (), noise, car) == none

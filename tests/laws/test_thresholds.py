@@ -13,7 +13,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.gram import Gram
 from missionsim.identify.proposed import Curve, Law
 from missionsim.labels import Labels
-from missionsim.laws import adapter, factors, gates, levels, proposal, search
+from missionsim.laws import adapter, experiment, factors, gates, levels, proposal, search
 from missionsim.laws.gates import Gates
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
@@ -170,10 +170,10 @@ def test_how_long_a_drive_is_that_tells_two_forms_apart(
     monkeypatch: pytest.MonkeyPatch, sd_w: float, told: str
 ) -> None:
     """They differ by 1.4 W; `sd_w`: of the difference of two means over 3 min, and less over longer ones."""
-    monkeypatch.setattr(proposal, "mean_variance", lambda _, seconds: 0.5 * 180.0 / seconds)
+    monkeypatch.setattr(experiment, "mean_variance", lambda _, seconds: 0.5 * 180.0 / seconds)
     x, watts = (0.0, 1.0), (0.0, 5.0)
     curve = Curve("speed_m_s", "m/s", x, watts, watts, watts, {}, 0.5)
-    drive = proposal._experiment([LAW, replace(LAW, k=6.0)], curve, (), {"sd_w": sd_w * 1.4})
+    drive = experiment.experiment([LAW, replace(LAW, k=6.0)], curve, (), {"sd_w": sd_w * 1.4})
     assert drive.startswith(told)
 
 
