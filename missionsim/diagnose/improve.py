@@ -20,7 +20,9 @@ from missionsim.diagnose.split import Split, lacking
 from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
+from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Finding
+from missionsim.identify.predictive import least_squares_clock
 from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
@@ -200,19 +202,28 @@ class Rounds:
         return best[1] if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0] else self.state
 
     def reclock(self) -> None:
-        """Go on at the clock that is seen beside what was added, if left-out runs say so; no meter is ahead of it."""
+        """Go on at the clock that is seen beside what was added, or where least squares errs least near it, if left-out
+        runs say so. No meter is ahead of the motion but one whose readings stay, by what they stay for."""
         new, state = self.state.last.clock, self.state
-        old = state.models.clock
+        old, runs = state.models.clock, len(state.models.runs)
         if not state.taken or new is None:
             return
-        new = replace(new, delay_s=max(new.delay_s, min(old.delay_s, 0.0)))
-        if max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_MOVES_S:
-            return
-        later = replace(state.models, clock=new.in_all(len(state.models.runs)), _fits={})
-        if later.of_others(state.taken) < (1.0 - CLEARLY) * state.models.of_others(state.taken):
-            self.library = replace(self.library, models=replace(self.library.models, clock=later.clock, _fits={}))
-            self.state = replace(state, models=later)
-            self.settle(*self.together(self.state, state.taken))
+        least = min(old.delay_s, *(-run.reading_s(self.battery) for run in state.models.runs))
+        for delay_s, lag_s in (self.near(new), (new.delay_s, new.lag_s)):
+            clock = replace(new, delay_s=max(delay_s, least), lag_s=lag_s).in_all(runs)
+            if max(abs(clock.delay_s - old.delay_s), abs(clock.lag_s - old.lag_s)) < CLOCK_MOVES_S:
+                continue
+            later = replace(state.models, clock=clock, _fits={})
+            if later.of_others(state.taken) < (1.0 - CLEARLY) * state.models.of_others(state.taken):
+                self.library = replace(self.library, models=replace(self.library.models, clock=clock, _fits={}))
+                self.state = replace(state, models=later)
+                self.settle(*self.together(self.state, state.taken))
+                return
+
+    def near(self, clock: Clock) -> tuple[float, float]:
+        """Delay and lag near a clock at which left-out runs err least by least squares."""
+        model = self.state.seen.found.choice.model
+        return least_squares_clock(model.source, clock, model.chosen)
 
     @property
     def as_well(self) -> set[str]:

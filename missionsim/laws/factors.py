@@ -283,6 +283,10 @@ def _further(b: _Builder, name: str) -> None:
         b.add(name, f"abs({name})", f"|{name}|", 1)
     b.beyond(name, (middle,))
     b.beyond(name, (middle,), above=False)
+    if name.endswith("_m_s") and b.has("speed_m_s"):  # a wind along the way: drag goes by the speed through the air
+        for sign, shown in (("+", "+"), ("-", "−")):
+            through = f"(abs(speed_m_s) {sign} {name})"
+            b.add(name, f"{through} * abs{through}", f"(v {shown} {name})·|v {shown} {name}|", 2)
 
 
 def _switched(b: _Builder, name: str, clocks: bool) -> None:

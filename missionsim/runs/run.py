@@ -71,6 +71,11 @@ class Run:
         """Names of the batteries that were measured."""
         return tuple(self.power_w)
 
+    def reading_s(self, battery: str) -> float:
+        """How long a reading of a meter that is slower than the rows usually stays [s]; 0 where none does."""
+        fresh = self.fresh.get(battery)
+        return 0.0 if fresh is None or np.count_nonzero(fresh) < 2 else float(np.median(np.diff(self.time_s[fresh])))
+
     @property
     def rows(self) -> int:
         """Number of rows."""

@@ -204,3 +204,29 @@ def test_few_runs_show_no_long_products(runs: int, far_off: int, close: int) -> 
         Search(SimpleNamespace(design=design, model=SimpleNamespace(squares=squares)), grammar) for squares in (1, None)
     )
     assert (len(far.by_size), len(near.by_size)) == (far_off, close)
+
+
+@pytest.mark.usefixtures("laws_at_once")
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_drag_goes_by_the_speed_through_the_air(sign: float) -> None:
+    """A wind along the way, against the robot or with it, in a column of the user's."""
+    rng, runs = np.random.default_rng(3), []
+    for number in range(5):
+        rows = 1200
+        speed = np.repeat(rng.uniform(0.0, 6.0, rows // 40), 40) * (np.arange(rows) % 240 > 30)
+        wind = np.repeat(rng.uniform(-3.0, 6.0, rows // 60), 60) + 0.1 * rng.standard_normal(rows)
+        through = speed + wind
+        gradient = {"c3": 20.0 * speed, "c4": 30.0 * (speed > 0), "standing": 25.0 * (speed == 0)}
+        base = np.sum(list(gradient.values()), axis=0)
+        measured = base + 0.9 * speed * through * np.abs(through) + 1.5 * rng.standard_normal(rows)
+        covariates = {"speed_m_s": speed, "along_m_s": sign * wind, "time_s": np.arange(rows) + 0.5}
+        columns = {"grade": np.zeros(rows)}
+        runs.append(
+            RunData(f"{number}", covariates["time_s"], np.ones(rows), measured, base, gradient, columns, covariates)
+        )
+    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05, "standing": 0.05})
+    made = propose(found, [run.covariates for run in runs])
+    assert made is not None
+    through = f"(abs(speed_m_s) {'+' if sign > 0.0 else '-'} along_m_s)"
+    assert made.first.formula == f"k * abs(speed_m_s) * {through} * abs{through}"
+    assert made.first.k == pytest.approx(0.9, rel=0.03)
