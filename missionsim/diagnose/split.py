@@ -20,6 +20,7 @@ from missionsim.fit.files import read_runs
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
 from missionsim.labels import Labels
 from missionsim.numerals import counted
+from missionsim.physics import Array
 from missionsim.runs.admit import admit_to_test
 from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
 from missionsim.runs.drive import filled
@@ -213,7 +214,7 @@ def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequenc
 
 def beyond(fitted: Sequence[Run], others: Sequence[Run]) -> tuple[list[str], list[str]]:
     """Labels of which other runs have texts that no fitted run has, with these; and columns whose mean over them lies
-    beyond the fitted runs' (a heading has no beyond)."""
+    beyond the fitted runs' (a heading has no beyond), of switches with how that differs."""
     labels, numbers = [], []
     for name in sorted(set.intersection(*(set(run.covariates()) for run in (*fitted, *others))) - {"heading_rad"}):
         here, there = ([run.columns[name] for run in own] for own in (fitted, others))
@@ -223,8 +224,18 @@ def beyond(fitted: Sequence[Run], others: Sequence[Run]) -> tuple[list[str], lis
         elif may_be_cause(name) and not texts[0]:
             means, other = (np.array([np.mean(run.number(name)) for run in own]) for own in (fitted, others))
             away = abs(float(other.mean() - means.mean()))
-            numbers += [name] if away > max(float(np.ptp(means)) / 2.0, BEYOND_SD * float(means.std())) else []
+            if away > max(float(np.ptp(means)) / 2.0, BEYOND_SD * float(means.std())):
+                numbers.append(f"{name} ({_switched(means, other)})" if is_switch(name) else name)
     return labels, numbers
+
+
+def _switched(fitted: Array, others: Array) -> str:
+    """How a switch differs, from how much it is on in each run."""
+    if not others.any():
+        return "never on in them"
+    if not fitted.any():
+        return "on in them, never in the fitted ones"
+    return f"on {'more' if others.mean() > fitted.mean() else 'less'} in them than in the fitted ones"
 
 
 def lacking(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from missionsim.identify.noise import mean_variance
 from missionsim.numerals import counted, rounded, watts
+from missionsim.runs.covariates import is_switch
 
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
@@ -113,11 +114,13 @@ def unseen_note(battery: BatteryDiagnosis) -> str:
     floor_pct = noise_floor(battery)[0]
     if left_pct <= SEVERAL * floor_pct * math.sqrt(1.0 + 1.0 / max(len(battery.runs), 1)):
         return ""
-    columns = ", ".join(battery.heldout.beyond)
+    named = {one: is_switch(one.partition(" (")[0]) for one in battery.heldout.beyond}
+    columns = ", ".join(one for one, switch in named.items() if not switch)
+    switched = "".join(f"; {one[:-1].replace(' (', ' is ', 1)}" for one, switch in named.items() if switch)
     return (
         f"the energy of the runs not used is off by {left_pct:.1f} %, where a right model would be by {floor_pct:.1f} "
         "%: something is missing that the fitted runs do not show. Fit runs of that kind too, or log what differs "
-        f"in them{'; they lie beyond the fitted ones in ' * bool(columns)}{columns}"
+        f"in them{'; they lie beyond the fitted ones in ' * bool(columns)}{columns}{switched}"
     )
 
 

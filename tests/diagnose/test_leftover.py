@@ -140,6 +140,19 @@ def test_what_the_runs_not_used_have_beyond_the_fitted_ones_is_told() -> None:
     # the fitted ones have 15 to 27 degC, a standard deviation of 4.5 about 21
     assert "temp_ambient_c" not in beyond(summer, [run(6, 29.5, "tile")])[1]
     assert "temp_ambient_c" in beyond(summer, [run(6, 30.5, "tile")])[1]
+    # of a switch no mean lies beyond: it is on or not
+    for before, after, told in (
+        (0.0, 1.0, "on_camera (on in them, never in the fitted ones)"),
+        (1.0, 0.0, "on_camera (never on in them)"),
+        (0.2, 1.0, "on_camera (on more in them than in the fitted ones)"),
+        (0.8, 0.5, "on_camera (on less in them than in the fitted ones)"),
+    ):
+        switched = [
+            drawing(one, one.power_w["robot"], on_camera=(np.arange(100) < 100 * part) * 1.0)
+            for some, part in ((summer, before), (winter, after))
+            for one in some
+        ]
+        assert told in beyond(switched[:4], switched[4:])[1]
     # an angle has no beyond
     turned = [drawing(one, one.power_w["robot"], heading_rad=np.full(100, 9.0 * i)) for i, one in enumerate(summer)]
     assert "heading_rad" not in beyond(turned[:3], turned[3:])[1]

@@ -256,6 +256,23 @@ def test_runs_that_are_off_by_three_noise_floors_are_told(floors: float, told: b
 
 
 @pytest.mark.parametrize(
+    ("beyond", "told"),
+    [
+        (("temp_ambient_c",), "; they lie beyond the fitted ones in temp_ambient_c"),
+        (
+            ("on_camera (on in them, never in the fitted ones)", "payload_kg"),
+            "; they lie beyond the fitted ones in payload_kg; on_camera is on in them, never in the fitted ones",
+        ),
+        (("on_camera (never on in them)",), " what differs in them; on_camera is never on in them"),
+    ],
+)
+def test_what_differs_in_the_runs_not_used_is_told_as_it_is(beyond: tuple[str, ...], told: str) -> None:
+    """Of a switch it was said that they lie beyond the fitted ones in it."""
+    held = HeldOut("the last run", ("run_05",), {"nominal": 50.0, "recalibrated": 50.0}, HELD, beyond=beyond)
+    assert unseen_note(replace(BATTERY, heldout=held)).endswith(told)
+
+
+@pytest.mark.parametrize(
     ("energy_pct", "power_w", "better"),
     [(1.0, 94.5, True), (1.0, 95.5, False), (1.004, 50.0, True), (1.006, 50.0, False)],
 )
