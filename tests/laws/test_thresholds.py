@@ -163,6 +163,28 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
         assert made.share_sd == pytest.approx(sd, rel=1e-3)
 
 
+@pytest.mark.parametrize(("form", "told"), [((0, 1), False), ((0, 1, 2), True), ((0, 2), True)])
+def test_what_a_drift_may_stand_behind_is_no_law(
+    monkeypatch: pytest.MonkeyPatch, form: tuple[int, ...], told: bool
+) -> None:
+    """Cold over drives of a Husky, which a steady drift explained as well: no law of it came in its place."""
+    grammar = Grammar(tuple(Factor(n, n, n) for n in ("speed_m_s", "temp_ambient_c", "payload_kg")), ())
+    errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
+    fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
+    own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
+    own.grammar = grammar
+    monkeypatch.setattr(proposal, "Search", lambda *_: own)
+    for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
+        monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
+    near = Scored(form, 90.0, 0.2, 90.0)
+    monkeypatch.setattr(proposal, "_judged", lambda *_: ([near], [], fitted, Gates(0.01, {})))
+    drift = SimpleNamespace(covariate="", effects=("temperature_friction",))
+    cold = SimpleNamespace(effect="temperature_friction", covariate="temp_ambient_c")
+    left = SimpleNamespace(structures=(drift,))
+    found = SimpleNamespace(noise={}, demoted=(), library=(cold,), unexplained=left)
+    assert (proposal._propose(None, grammar, False, found, once_more=False) is not None) is told
+
+
 @pytest.mark.parametrize(
     ("sd_w", "told"), [(0.45, "3 min at"), (0.55, "6 min at"), (0.95, "12 min at"), (1.05, "no drive")]
 )
