@@ -208,13 +208,14 @@ class Rounds:
         old, runs = state.models.clock, len(state.models.runs)
         if not state.taken or new is None:
             return
+        enough = (1.0 - CLEARLY) * state.models.of_others(state.taken)
         least = min(old.delay_s, *(-run.reading_s(self.battery) for run in state.models.runs))
         for delay_s, lag_s in (self.near(new), (new.delay_s, new.lag_s)):
             clock = replace(new, delay_s=max(delay_s, least), lag_s=lag_s).in_all(runs)
             if max(abs(clock.delay_s - old.delay_s), abs(clock.lag_s - old.lag_s)) < CLOCK_MOVES_S:
                 continue
             later = replace(state.models, clock=clock, _fits={})
-            if later.of_others(state.taken) < (1.0 - CLEARLY) * state.models.of_others(state.taken):
+            if later.of_others(state.taken) < enough:
                 self.library = replace(self.library, models=replace(self.library.models, clock=clock, _fits={}))
                 self.state = replace(state, models=later)
                 self.settle(*self.together(self.state, state.taken))

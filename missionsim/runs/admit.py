@@ -191,7 +191,8 @@ def _units(runs: Sequence[Run]) -> dict[str, str]:
 def beyond(run: Run, others: Sequence[Run]) -> list[str]:
     """Columns, but those of motion, in which a run is where no other run is: what it costs more is not odd then."""
     found: list[str] = []
-    for name, data, have in _causes(run, others):
+    for name, data, runs in _causes(run, others):
+        have = [one.columns[name] for one in runs]
         if isinstance(data, Labels):
             seen = [text for one in have if isinstance(one, Labels) for text in {*one.names}]
             # what is called differently in every run is the name of a run
@@ -217,8 +218,8 @@ def as_near(run: Run, others: Sequence[Run], level: Mapping[str, float]) -> list
     found: list[str] = []
     usual = float(np.median([*level.values()]))
     off = level[run.run] - usual
-    for name, data, _ in _causes(run, others):
-        have = [one for one in others if name in one.columns and not _empty(one.columns[name])]
+    for name, data, having in _causes(run, others):
+        have = [one for one in having if not _empty(one.columns[name])]
         if isinstance(data, Labels):
             same = {one.run: one.columns[name] for one in have}
             near = [run for run, own in same.items() if isinstance(own, Labels) and _mostly(own) == _mostly(data)]
@@ -240,10 +241,10 @@ def _mostly(data: Labels) -> str:
     return data.names[int(np.argmax(counted))] if counted.any() else ""
 
 
-def _causes(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Array | Labels, list[Array | Labels]]]:
-    """Columns of a run that may be why it draws more, but those of motion, and what other runs have there."""
+def _causes(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Array | Labels, list[Run]]]:
+    """Columns of a run that may be why it draws more, but those of motion, and the other runs that have them."""
     for name, data in run.columns.items():
-        have = [one.columns[name] for one in others if name in one.columns]
+        have = [one for one in others if name in one.columns]
         sensed = name not in _MOTION and not is_switch(name) and may_be_cause(name)
         if sensed and len(have) >= FEWEST and not _empty(data):
             yield name, data, have
