@@ -191,12 +191,12 @@ class Search:
         from missionsim.diagnose.split import read_split
         from missionsim.inputs.loading import load_robot
         from missionsim.logs import describe
-        from missionsim.runs.admit import unchanging
 
         spec = load_robot(self.robot)
         split = read_split(spec, logs, self.holdout)
         tell_left_out(split.left_out, to)
-        for line in [] if to.quiet else [*describe(split.given), *unchanging(split.given)]:
+        runs = [*split.given, *(run for run in split.heldout if all(run is not one for one in split.given))]
+        for line in [] if to.quiet else [*describe(runs), *split.remarks]:
             print(visible(line), file=sys.stderr)
         return spec, split
 

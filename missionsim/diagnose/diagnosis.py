@@ -39,7 +39,6 @@ from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
 from missionsim.laws.proposal import REPLACED
 from missionsim.logs import describe
-from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
 from missionsim.runs.drive import drive
 
@@ -96,7 +95,7 @@ def diagnose_files(
         timeline = simulate(load_mission(mission, robot=spec)).timeline
     split = read_split(spec, logs, holdout)
     found = diagnose(Subject.of(spec), split, timeline=timeline, battery=battery, settings=settings)
-    return replace(found, left_out=split.left_out, remarks=tuple(unchanging(split.given)))
+    return replace(found, left_out=split.left_out, remarks=tuple(split.remarks))
 
 
 def diagnose(
@@ -122,7 +121,7 @@ def diagnose(
     settings : Settings, optional
     """
     settings = settings or Settings()
-    split = logs if isinstance(logs, Split) else choose_split(logs, holdout)
+    split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.robot)
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
     if battery is not None and battery not in measured:
         raise InputError.unknown(f"no log measures the battery '{battery}'", battery, measured)

@@ -16,15 +16,15 @@ from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
-from missionsim.fit.files import read_runs
+from missionsim.fit.files import read_bounded, read_runs
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
 from missionsim.labels import Labels
 from missionsim.numerals import counted
 from missionsim.physics import Array
-from missionsim.runs.admit import admit_to_test
+from missionsim.runs.admit import admit_to_test, unchanging
 from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
 from missionsim.runs.drive import filled
-from missionsim.runs.run import Bounded, Run
+from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -48,23 +48,34 @@ class Split:
     given: tuple[Run, ...] = ()
     """Of the files that were given, those among which they were chosen."""
 
+    @property
+    def remarks(self) -> list[str]:
+        """What no run can tell, and the switches that only the fitted or only the held-out runs log."""
+        of_fitted, of_others = _of_one_side(self.train, self.heldout)
+        told = [f"{name} is not logged in the runs not used, and is on in the fitted ones" for name in of_fitted]
+        told += [f"{name} is not logged in the fitted runs, and is on in those not used" for name in of_others]
+        return [*unchanging(self.given), *told]
+
 
 def read_split(
     robot: RobotSpec, logs: Sequence[str | Path], holdout: str | Sequence[str | Path] | None = None
 ) -> Split:
     """Runs of some logs to fit and to test on; see `choose_split`."""
     runs, left_out = read_runs(robot, logs)
-    split = choose_split(runs, holdout)
+    split = choose_split(runs, holdout, robot)
     return replace(split, left_out=(*left_out, *split.left_out), given=tuple(runs))
 
 
-def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None) -> Split:
+def choose_split(
+    logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None, robot: RobotSpec | None = None
+) -> Split:
     """Split runs into those that are fitted and those that are held out.
 
     `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
     a condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files and
-    folders of other logs. By default the last quarter of four or more runs. Raises InputError: for a value that is none
-    of these, a condition that no run or every run meets, unknown runs, other logs of which none can be tested on.
+    folders of other logs, which are checked against `robot`. By default the last quarter of four or more runs. Raises
+    InputError: for a value that is none of these, a condition that no run or every run meets, unknown runs, other logs
+    of which none can be tested on.
     """
     logs = tuple(logs)
     if holdout is None:
@@ -78,7 +89,7 @@ def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None
         return _last(logs, 0.25)
     parts = [str(holdout)] if isinstance(holdout, (str, Path)) else [str(item) for item in holdout]
     if all(Path(part).exists() for part in parts):
-        return _files(logs, parts)
+        return _files(logs, parts, robot)
     text = ",".join(parts)
     number = "0" if text.strip().lower() == "none" else text.strip()
     try:
@@ -140,12 +151,8 @@ def _texts(column: object) -> set[str]:
     return {(*column.names, "")[code] for code in np.unique(column.codes)} if isinstance(column, Labels) else set()
 
 
-def _files(logs: tuple[Run, ...], parts: list[str]) -> Split:
-    from missionsim.logs import read_logs
-
-    bounded = Bounded()
-    refused: list[str] = []
-    held = tuple(bounded.all(read_logs(parts, each=bounded, left_out=refused))[0])
+def _files(logs: tuple[Run, ...], parts: list[str], robot: RobotSpec | None) -> Split:
+    held, refused, _ = read_bounded(robot, parts)
     same = {log.sha256 for log in held if log.sha256} & {log.sha256 for log in logs}
     train = tuple(log for log in logs if not (log.sha256 and log.sha256 in same))
     if not train:
@@ -226,7 +233,20 @@ def beyond(fitted: Sequence[Run], others: Sequence[Run]) -> tuple[list[str], lis
             away = abs(float(other.mean() - means.mean()))
             if away > max(float(np.ptp(means)) / 2.0, BEYOND_SD * float(means.std())):
                 numbers.append(f"{name} ({_switched(means, other)})" if is_switch(name) else name)
+    for names, side in zip(_of_one_side(fitted, others), ("them", "the fitted ones"), strict=True):
+        numbers += [f"{name} (not logged in {side})" for name in names]
     return labels, numbers
+
+
+def _of_one_side(fitted: Sequence[Run], others: Sequence[Run]) -> tuple[list[str], list[str]]:
+    """Switches that are on in fitted runs and that none of the others logs, and the other way round."""
+    if not fitted or not others:
+        return [], []
+    sides = [
+        [(name, run.number(name)) for run in own for name in filter(is_switch, run.columns)] for own in (fitted, others)
+    ]
+    (here, here_on), (there, there_on) = (({n for n, _ in own}, {n for n, on in own if on.any()}) for own in sides)
+    return sorted(here_on - there), sorted(there_on - here)
 
 
 def _switched(fitted: Array, others: Array) -> str:

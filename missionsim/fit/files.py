@@ -23,14 +23,20 @@ AVERAGED = "averaged"
 Tell = Callable[[Sequence[str]], None]
 
 
+def read_bounded(robot: RobotSpec | None, logs: Sequence[str | Path]) -> tuple[list[Run], list[str], str]:
+    """The runs of some logs, checked against a robot; files that could not be read, and what was averaged, in words."""
+    bounded = Bounded()
+    refused: list[str] = []
+    read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded, left_out=refused))
+    return read, refused, averaged
+
+
 def read_runs(robot: RobotSpec | None, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
     """The runs of some logs that a robot may learn from, and in words what was left out.
 
     Without a robot there is no model against which a run could be odd.
     """
-    bounded = Bounded()
-    refused: list[str] = []
-    read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded, left_out=refused))
+    read, refused, averaged = read_bounded(robot, logs)
     runs, left_out = admit(read, None if robot is None else build_power_model(robot))
     if averaged:
         note = Remark(AVERAGED, "time_s", averaged, "shorter rows tell no more", "note")

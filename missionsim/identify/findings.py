@@ -352,7 +352,7 @@ class Diagnosis:
     left_out: tuple[str, ...] = ()
     """Runs that nothing was learnt from, and why."""
     remarks: tuple[str, ...] = ()
-    """What no run can tell."""
+    """What no run can tell, and which switches only some of them log."""
 
     def to_json(self) -> Json:
         """The contract's ``missionsim.diagnosis/1``."""
@@ -362,4 +362,5 @@ class Diagnosis:
             "batteries": {name: battery.to_json() for name, battery in self.batteries.items()},
             "skipped": dict(self.skipped),
             "left_out": list(self.left_out),
+            "remarks": list(self.remarks),
         }

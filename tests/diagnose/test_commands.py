@@ -63,6 +63,22 @@ def diagnosis(folders: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
     return dict(json.loads(out.read_text(encoding="utf-8")))
 
 
+def test_held_out_files_are_read_as_those_that_are_fitted(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the checks against the robot find in them is told, and a switch that they alone log."""
+    log = drive(30, seconds=300.0, scrub_w_s_rad=SCRUB, on_kinnect=np.ones(300))
+    write(replace(log, columns={n: data for n, data in log.columns.items() if n != "on_kinect"}), tmp_path / "held")
+    told = "the robot has no component 'kinnect'; did you mean kinect?", "on_kinect is not logged in the runs not used"
+    words = f"--robot pioneer3dx {folders['train']} --holdout {tmp_path / 'held'}"
+    assert run(f"diagnose {words}") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert all(one in said for one in told)
+    assert run(f"add-effect {words} --effect turning_scrub --out {tmp_path / 'r.yaml'}") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert all(one in said for one in told)
+
+
 def test_diagnosis_has_the_contract_s_shape(diagnosis: dict[str, Any]) -> None:
     assert diagnosis["schema"] == "missionsim.diagnosis/1"
     battery = diagnosis["batteries"]["robot"]

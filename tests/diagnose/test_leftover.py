@@ -153,6 +153,11 @@ def test_what_the_runs_not_used_have_beyond_the_fitted_ones_is_told() -> None:
             for one in some
         ]
         assert told in beyond(switched[:4], switched[4:])[1]
+    # one that only one side logs
+    on, off = (drawing(winter[0], winter[0].power_w["robot"], on_camera=np.full(100, state)) for state in (1.0, 0.0))
+    assert "on_camera (not logged in the fitted ones)" in beyond(summer, [on])[1]
+    assert "on_camera (not logged in them)" in beyond([*summer[:2], on], winter)[1]
+    assert "on_camera" not in str(beyond(summer, [off]))
     # an angle has no beyond
     turned = [drawing(one, one.power_w["robot"], heading_rad=np.full(100, 9.0 * i)) for i, one in enumerate(summer)]
     assert "heading_rad" not in beyond(turned[:3], turned[3:])[1]
