@@ -331,8 +331,8 @@ def _sound(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         told = [*(f"{run.run}: {why}" for run in still), *told]
         good = [run for run in good if "speed_m_s" in run.columns]
     twins = copies(good)
-    for i, of in sorted(twins.items()):
-        told.append(f"{good[i].run}: a copy of {good[of].run} but for noise; one measurement counts once")
+    once = "one measurement counts once, and so does a simulation that is run again with nothing changed"
+    told += [f"{good[i].run}: a copy of {good[of].run} but for noise; {once}" for i, of in sorted(twins.items())]
     kept = [run for i, run in enumerate(good) if i not in twins]
     if runs and not kept:
         raise InputError([remark.fault(run.source) for run, own in zip(runs, errors, strict=True) for remark in own])

@@ -8,6 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
+from missionsim.labels import Labels
+from missionsim.runs.covariates import COVARIATES, is_switch
 from missionsim.runs.run import Run
 
 SHARE = 0.003
@@ -22,7 +24,9 @@ MOST = 4000
 
 
 def copies(runs: Sequence[Run]) -> dict[int, int]:
-    """Number of a run that is a copy → number of the first run that it copies."""
+    """Number of a run that is a copy → number of the first run that it copies. One that was driven alike under another
+    condition, such as another payload all the way, is none."""
+    conditions = [_conditions(run) for run in runs]
     seen = [_fingerprints(run) for run in runs]
     rare = 1 + max((len(one) for one in seen), default=0) // MOST
     # by content, so that copies choose the same ones
@@ -48,9 +52,21 @@ def copies(runs: Sequence[Run]) -> dict[int, int]:
                 float(np.std(power - run.power_w[name])) <= SHARE * abs(float(np.mean(power)))
                 for name, power in runs[i].power_w.items()
             )
-            if alike or same:
+            shared_conditions = conditions[i].keys() & conditions[j].keys()
+            if (alike or same) and all(conditions[i][name] == conditions[j][name] for name in shared_conditions):
                 found[j] = i
                 break
+    return found
+
+
+def _conditions(run: Run) -> dict[str, object]:
+    """What a run was driven under from its first row to its last, by column of the glossary."""
+    found: dict[str, object] = {}
+    for name, data in run.columns.items():
+        if name in COVARIATES or is_switch(name):
+            values = data.codes if isinstance(data, Labels) else data[np.isfinite(data)]
+            if len(values) and np.ptp(values) == 0:
+                found[name] = data.texts()[0] if isinstance(data, Labels) else float(values[0])
     return found
 
 

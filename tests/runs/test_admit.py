@@ -327,6 +327,16 @@ def test_a_copy_that_is_cut_and_shifted_in_time_counts_once(runs: list[Run]) -> 
     assert line.startswith("again: a copy of run_01")
 
 
+def test_drives_that_were_made_alike_with_other_loads_are_no_copies(runs: list[Run]) -> None:
+    """A simulation, or one recorded profile that is driven again: the same speeds, and power that is or is not."""
+    loads = [changed(runs[0], payload_kg=np.full(len(runs[0]), kg)) for kg in (0.0, 5.0, 5.0)]
+    heavy = replace(loads[1], power_w={"robot": 1.2 * loads[1].power_w["robot"]})
+    assert copies([loads[0], heavy, loads[1]]) == {2: 1}
+    assert copies(loads) == {2: 1}
+    words = [changed(run, surface=Labels.of([floor] * len(run))) for run, floor in zip(loads[1:], "ab", strict=True)]
+    assert copies(words) == {}
+
+
 def test_speeds_that_were_commanded_alike_are_no_copies(runs: list[Run]) -> None:
     """Two runs of one mission whose logs hold commanded speeds: each a measurement of its own."""
     ramps = np.abs((np.arange(400) % 40) - 20) / 40.0
