@@ -207,7 +207,7 @@ def diagnose_battery(
     law = any(not any({logged_name(v) for v in one.first.variables} <= own for own in reads) for one in proposed)
     if law:
         effects = tuple(replace(e, remark=_beside_law(e, proposed, features.candidates)) for e in effects)
-    site = site_of(features.covariates, subject.limits, subject.turns_on_the_spot)
+    site = site_of(features.covariates, seen.most)
     bench = Bench(subject.model, features, found.choice, site, settings)
     unexplained = found.unexplained if found.verdict == "unexplained_structure" else None
     remains = [s for s in found.unexplained.structures if s not in found.averages]

@@ -63,28 +63,18 @@ class Subject:
         parts = ((name, one) for name, one in self.robot.components.items() if not one.always_on)
         return tuple(name for name, one in parts if any(load.battery == battery for load in one.loads))
 
-    @property
-    def limits(self) -> dict[str, float]:
-        """``max_speed``, ``max_yaw_rate``, ``acceleration``."""
-        body = self.robot.body
-        given = {"max_speed": body.max_speed, "max_yaw_rate": body.max_yaw_rate, "acceleration": body.max_acceleration}
-        return {name: limit.value for name, limit in given.items() if limit is not None}
-
-    @property
-    def turns_on_the_spot(self) -> bool:
-        """Whether its drive can."""
-        return self.robot.body.drive != "ackermann"
-
     def most(self, covariates: Sequence[Covariates]) -> dict[str, float]:
         """What it can drive at most, by column; and the sharpest curve of these logs where it cannot turn otherwise."""
         body = self.robot.body
         given = {
             "speed_m_s": body.max_speed,
             "lateral_speed_m_s": body.max_lateral_speed,
+            "yaw_rate_rad_s": body.max_yaw_rate,
+            "accel_m_s2": body.max_acceleration,
             "payload_kg": body.max_payload,
         }
         most = {name: limit.value for name, limit in given.items() if limit is not None}
-        return most if self.turns_on_the_spot else most | {CURVATURE: sharpest(covariates)}
+        return most | ({CURVATURE: sharpest(covariates)} if body.drive == "ackermann" else {})
 
     def unknown(self) -> Subject:
         """The robot as one of whose base nothing is known beside the logs."""

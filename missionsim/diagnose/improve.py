@@ -152,8 +152,7 @@ class State:
 
     def believed(self) -> Models:
         """What is seen and cannot be named is not added; the base has to take its part, not what is added."""
-        unsure = any(effect.indistinguishable_from for effect in self.last.effects)
-        free = unsure and self.models.unheld.of_others(()) < (1.0 - CLEARLY) * self.models.of_others(())
+        free = self.last.unsure and self.models.unheld.of_others(()) < (1.0 - CLEARLY) * self.models.of_others(())
         return self.models.unheld if free else self.models
 
 
@@ -177,6 +176,8 @@ class Rounds:
         self.asked: dict[str, float] = {}
         """Part of the energy that each had when it came in."""
         self.again = False
+        self.timed: State | None = None
+        """Whose clock was looked at: it is the same after a round in which nothing went in."""
         self.aside: State | None = None
         """With what the library named beside a law and that law as it was, while another form of it is looked for."""
 
@@ -206,8 +207,9 @@ class Rounds:
         runs say so. No meter is ahead of the motion but one whose readings stay, by what they stay for."""
         new, state = self.state.last.clock, self.state
         old, runs = state.models.clock, len(state.models.runs)
-        if not state.taken or new is None:
+        if state is self.timed or not state.taken or new is None:
             return
+        self.timed = state
         enough = (1.0 - CLEARLY) * state.models.of_others(state.taken)
         least = min(old.delay_s, *(-run.reading_s(self.battery) for run in state.models.runs))
         for delay_s, lag_s in (self.near(new), (new.delay_s, new.lag_s)):
@@ -238,7 +240,7 @@ class Rounds:
         state, new = self.state, []
         known = {*(name for name, n in self.nothing.items() if n > 1), *self.as_well}
         for effect in state.last.effects:
-            if effect.indistinguishable_from or effect.effect in (*self.declined, *known):
+            if not effect.is_clear or effect.effect in (*self.declined, *known):
                 continue
             if self.ask(effect, state.last):
                 new.append(effect)
@@ -280,8 +282,11 @@ class Rounds:
         found, fitted = self.together(beside, [*kept, replace(as_finding(law), effect=name)], surest=len(kept))
         k = next((one.parameters["k"] for one in found if one.effect == name), None)
         # its size was found beside everything that is seen: without what these data cannot tell, it may be another
-        unsure = any(effect.indistinguishable_from for effect in state.last.effects)
-        if k is None or k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
+        if (
+            k is None
+            or k.low <= 0.0 <= k.high
+            or (state.last.unsure and max(k.low, law.first.low) > min(k.high, law.first.high))
+        ):
             self.nothing[formula] += 1
             return True
         self.by_law[name] = formula

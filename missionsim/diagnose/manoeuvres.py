@@ -11,6 +11,7 @@ import numpy as np
 from missionsim.effects.covariates import Covariates
 from missionsim.files import Json
 from missionsim.labels import Labels
+from missionsim.laws.experiment import CURVATURE
 from missionsim.runs.motion import approach
 
 STEP_S = 0.5
@@ -112,9 +113,8 @@ def sharpest(covariates: Sequence[Covariates]) -> float:
     return max(found)
 
 
-def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float], on_the_spot: bool = True) -> Site:
-    """What the logs show of the place, within the robot's ``max_speed``, ``max_yaw_rate`` and ``acceleration``, and in
-    no sharper curves than in the logs where it cannot turn `on_the_spot`."""
+def site_of(covariates: Sequence[Covariates], most: Mapping[str, float]) -> Site:
+    """What the logs show of the place, within what the robot can drive at `most`, by column."""
     names = set.intersection(*(set(cov) for cov in covariates))
     usual: dict[str, Any] = {}
     low: dict[str, float] = {}
@@ -132,8 +132,8 @@ def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float], on_th
             joined = np.concatenate([np.atleast_1d(np.asarray(value, dtype=float)) for value in values])
             usual[name] = float(np.median(joined))
             low[name], high[name] = (float(x) for x in np.percentile(joined, [0.5, 99.5]))
-    fastest = min(limits.get("max_speed", np.inf), 1.1 * high.get("speed_m_s", np.inf))
-    spin = min(limits.get("max_yaw_rate", 1.0), max(1.2 * high.get("yaw_rate_rad_s", 1.0), 0.2))
+    fastest = min(most.get("speed_m_s", np.inf), 1.1 * high.get("speed_m_s", np.inf))
+    spin = min(most.get("yaw_rate_rad_s", 1.0), max(1.2 * high.get("yaw_rate_rad_s", 1.0), 0.2))
     switched = [name for name in high if name.startswith("on_") and not name.startswith("on_time")]
     ramp = USUAL_RAMP * min(high.get("accel_m_s2", 0.0), -low.get("accel_m_s2", 0.0))
     components = {name[3:]: max(1, round(high[name])) for name in switched}
@@ -144,9 +144,9 @@ def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float], on_th
         choices,
         fastest if np.isfinite(fastest) else 0.5,
         spin,
-        limits.get("acceleration", ramp if ramp > 0.0 else DEFAULT_ACCELERATION_M_S2),
+        most.get("accel_m_s2", ramp if ramp > 0.0 else DEFAULT_ACCELERATION_M_S2),
         components,
-        curvature_1_m=np.inf if on_the_spot else sharpest(covariates),
+        curvature_1_m=most.get(CURVATURE, np.inf),
     )
 
 

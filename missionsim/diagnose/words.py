@@ -31,7 +31,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     said = list(filter(None, [sentences.worse(battery)]))
     said += [f"{sentences.missing(f)}{sentences.named(f)}." for f in battery.clear]
     for effect in battery.unsure:
-        names = " or ".join((effect.effect, *battery.instead_of(effect)))
+        names = " or ".join(battery.either(effect))
         other = "else " if battery.clear else ""
         told = f"{other}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}"
         said.append(f"Something {told}. These data cannot tell which.")
@@ -87,14 +87,14 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     lines += [("FOUND", found_line(effect)) for effect in battery.clear]
     lines += [("DRIVEN", f"{_execution(e)}; {100 * e.energy_share:+.1f} % of the energy") for e in battery.execution]
     for effect in battery.unsure:
-        names, nats = (effect.effect, *battery.instead_of(effect)), effect.separation_nats
+        nats = effect.separation_nats
         more = ""
         if nats < 0.05:
             more = "; more of the same data will not help"
         elif nats < 5.0:
             more = f"; expected lead {nats:.1f} nats, about {5.0 / nats:.1f} times these data would settle it"
         share = f"{_percent(effect.energy_share)} % of energy"
-        lines.append(("UNSURE", f"{' OR '.join(names)}, {share}: these data cannot tell{more}"))
+        lines.append(("UNSURE", f"{' OR '.join(battery.either(effect))}, {share}: these data cannot tell{more}"))
     lines += [
         ("DOUBTFUL", f"{one.effect}: {_percent(one.doubtful_share)} % of energy; not named: {one.reason}")
         for one in battery.candidates
@@ -281,7 +281,7 @@ def stopped(
     unseen = unseen_note(last) if tested else ""
     if last.unsure:
         first = last.unsure[0]
-        names = " or ".join((first.effect, *last.instead_of(first)))
+        names = " or ".join(last.either(first))
         drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
         none = "neither" if len(first.indistinguishable_from) == 1 else "none of them"
         return f"these data cannot tell {names}, so {none} is added.{drive}"

@@ -308,10 +308,10 @@ class BatteryDiagnosis(Findings):
         """Effects that these data cannot tell from others."""
         return [effect for effect in self.effects if not effect.is_clear]
 
-    def instead_of(self, effect: Finding) -> tuple[str, ...]:
-        """What an effect cannot be told from, in words: of an effect that is named, another form."""
-        named = {one.effect for one in self.clear}
-        return tuple(f"another form of {name}" if name in named else name for name in effect.indistinguishable_from)
+    def either(self, effect: Finding) -> tuple[str, ...]:
+        """An effect and what it cannot be told from, in words: of an effect that is named, another form."""
+        named, rivals = {one.effect for one in self.clear}, effect.indistinguishable_from
+        return (effect.effect, *(f"another form of {name}" if name in named else name for name in rivals))
 
     @property
     def parts(self) -> str:

@@ -375,12 +375,12 @@ def _explained(driven: Driven, runs: Sequence[Driven], battery: str, offset: flo
         gaps = np.concatenate([one.measured_w[battery] - one.model_w[battery] for one in others])
         low, high = np.nanmin(np.r_[data, there]), np.nanmax(np.r_[data, there])
         edges = np.linspace(low, high, BANDS + 1)[1:-1]
-        own, theirs = (np.where(np.isfinite(x), np.digitize(x, edges), -1) for x in (data, there))
-        shared = [
-            b for b in range(BANDS) if min(np.count_nonzero(own == b), np.count_nonzero(theirs == b)) >= LEAST_ROWS
-        ]
-        rows = [np.count_nonzero(own == b) for b in shared]
-        if sum(rows) < 0.5 * len(data):
+        # what is not finite lies in a band of its own, which none is held against
+        own, theirs = (np.where(np.isfinite(x), np.digitize(x, edges), BANDS) for x in (data, there))
+        counts = [np.bincount(x, minlength=BANDS + 1)[:BANDS] for x in (own, theirs)]
+        shared = np.flatnonzero(np.minimum(*counts) >= LEAST_ROWS)
+        rows = counts[0][shared]
+        if rows.sum() < 0.5 * len(data):
             moves = min(float(np.ptp(one.run.number(name))) for one in others) > np.ptp(edges) / BANDS
             if load or moves:  # the weather of other days lies elsewhere, whatever the run draws
                 return True

@@ -13,13 +13,19 @@ from missionsim.diagnose import diagnose_files, experiments
 from missionsim.diagnose.examine import Subject
 from missionsim.diagnose.experiments import imagined_run, power_of
 from missionsim.diagnose.features import make_features
-from missionsim.diagnose.manoeuvres import Part, library, script, site_of
+from missionsim.diagnose.manoeuvres import Part, library, script, sharpest, site_of
 from missionsim.effects.covariates import derive
 from missionsim.inputs.loading import load_robot
 from missionsim.labels import Labels
+from missionsim.laws.experiment import CURVATURE
 from missionsim.runs.run import Run
 
-LIMITS = {"max_speed": 0.75, "max_yaw_rate": 1.0, "acceleration": 0.3}
+LIMITS = {"speed_m_s": 0.75, "yaw_rate_rad_s": 1.0, "accel_m_s2": 0.3}
+
+
+def car_most(logged: dict[str, object]) -> dict[str, float]:
+    """The same of a robot that cannot turn on the spot."""
+    return LIMITS | {CURVATURE: sharpest([logged])}
 
 
 def covariates(**more: object) -> dict[str, object]:
@@ -77,7 +83,7 @@ def test_a_car_is_not_asked_to_stop_more_often_than_it_can() -> None:
     accel = np.clip(3.0 * np.sin(time_s / 20.0), -2.0, 1.5)
     speed = 18.0 - 60.0 * np.cos(time_s / 20.0) / 4.0
     car = derive({"time_s": time_s, "speed_m_s": speed, "accel_m_s2": accel}, time_s, np.ones(1200))
-    site = site_of([car], {"max_speed": 33.0})
+    site = site_of([car], {"speed_m_s": 33.0})
     manoeuvre = next(m for m in library(site) if m.name == "stop and go")
     columns = script(manoeuvre, site)
     v, (part,) = columns["speed_m_s"], manoeuvre.parts
@@ -96,33 +102,35 @@ def test_a_car_is_not_asked_to_turn_on_the_spot() -> None:
     turning = covariates(yaw_rate_rad_s=np.where(np.arange(200) % 50 < 25, 0.3, -0.1))
     robot = {m.name: m for m in library(site_of([turning], LIMITS))}
     assert {"spin", "straight and curved"} <= set(robot)
-    site = site_of([turning], LIMITS, on_the_spot=False)
+    site = site_of([turning], car_most(turning))
     car = {m.name: m for m in library(site)}
     assert set(robot) - set(car) == {"spin"}
     assert "in circles at 0.216 rad/s" in robot["straight and curved"].do
     for radius_m in (2.5, 5.0):
         turned = covariates(yaw_rate_rad_s=np.tile(np.repeat([0.0, 0.5], 50), 2) / radius_m)
-        narrow = site_of([turned], LIMITS, on_the_spot=False)
+        narrow = site_of([turned], car_most(turned))
         curve = next(m for m in library(narrow) if m.name == "straight and curved")
         (rate,) = curve.parts[1].yaw_rates_rad_s
         assert rate <= narrow.cruise_m_s / radius_m + 1e-9
-    assert "straight and curved" not in {m.name for m in library(site_of([covariates()], LIMITS, on_the_spot=False))}
+    assert "straight and curved" not in {m.name for m in library(site_of([covariates()], car_most(covariates())))}
 
 
 def test_of_a_car_that_never_turned_it_is_said_that_no_drive_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiments, "propose", lambda *_: [])
     left = SimpleNamespace(depends_on=["yaw_rate_rad_s"], structures=[])
     for on_the_spot, told in ((True, "turn on the spot"), (False, "no manoeuvre that this robot can drive")):
-        site = site_of([covariates()], LIMITS, on_the_spot=on_the_spot)
+        site = site_of([covariates()], LIMITS if on_the_spot else car_most(covariates()))
         bench = SimpleNamespace(site=site, features=SimpleNamespace(candidates=[]))
         assert experiments.next_experiments(bench, [], left)[0].do.startswith(told)
 
 
 def test_the_robot_file_says_what_its_drive_can() -> None:
     robot = load_robot("pioneer3dx")
-    assert Subject.of(robot).turns_on_the_spot
+    most = Subject.of(robot).most([covariates()])
+    assert {name: most[name] for name in ("speed_m_s", "yaw_rate_rad_s")} == {"speed_m_s": 0.75, "yaw_rate_rad_s": 1.0}
+    assert CURVATURE not in most
     car = robot.model_copy(update={"body": robot.body.model_copy(update={"drive": "ackermann"})})
-    assert not Subject.of(car).turns_on_the_spot
+    assert Subject.of(car).most([covariates()])[CURVATURE] == 0.0
 
 
 def test_a_manoeuvre_stands_and_weighs_as_it_says() -> None:

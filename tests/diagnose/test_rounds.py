@@ -378,7 +378,7 @@ def test_a_law_without_which_a_single_run_is_predicted_as_well_is_tried_and_goes
     for name in ("as_finding", "with_law"):
         monkeypatch.setattr(improve, name, lambda *_: GRADE)
     monkeypatch.setattr(improve, "with_candidate", lambda *_: ("", "law_heater_w"))
-    made.state = replace(made.state, last=SimpleNamespace(proposed_laws=(law,), effects=()))  # type: ignore[arg-type]
+    made.state = replace(made.state, last=SimpleNamespace(proposed_laws=(law,), unsure=()))  # type: ignore[arg-type]
     made.together = lambda *_, **__: ([], None)  # type: ignore[method-assign,assignment]
     assert made.of_law()
     assert not made.by_law
