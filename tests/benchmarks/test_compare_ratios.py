@@ -103,6 +103,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("long_logs")
 
 
+@pytest.mark.long
 def test_bounded_memory_and_linear_time(folder: Path) -> None:
     small, large = folder / "small.parquet", folder / "large.parquet"
     write_log(small, 300_000)

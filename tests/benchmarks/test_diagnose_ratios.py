@@ -114,6 +114,7 @@ def test_diagnosis_beside_simpler_methods_on_equal_rows(folder: Path) -> None:
         assert seconds["missionsim"] < most * seconds[name]
 
 
+@pytest.mark.long
 def test_time_grows_no_faster_than_rows(tmp_path: Path, in_turns: InTurns) -> None:
     logs = sorted(
         (write(make(replace(GRADE, runs=4, heldout=1, duration_s=300.0), 3), tmp_path) / "train").glob("*.csv")

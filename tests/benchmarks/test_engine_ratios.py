@@ -45,6 +45,7 @@ def energies(result: RunResult) -> list[float]:
     return found
 
 
+@pytest.mark.long
 def test_the_patrol_beside_scripts_in_simpy(tmp_path: Path, in_turns: InTurns) -> None:
     """How much faster than polling depends on how long the mission idles, so two lengths of the same 40 segments.
 
@@ -104,6 +105,7 @@ def rounds(times: int, dock: bool) -> MissionSpec:
     return load({"segments": segments, "start": "dock", "defaults": {"speed": 1.0}}, machine, PLACES)
 
 
+@pytest.mark.long
 def test_charger_visits_cost_the_same_each() -> None:
     missions = {times: rounds(times, True) for times in (25, 200)}
     growth = exponent(25, 200, lambda times: lambda: simulate(missions[times]), 1.1, turns=9)

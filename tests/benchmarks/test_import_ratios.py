@@ -18,8 +18,10 @@ from tests.logs.bag_writers import write_bag
 
 MOST_CSV, MOST_BAG = 3.0, 2.0
 KINDS = ("ros1", "sqlite3", "mcap")
+ONE_QUICK = ["mcap", *(pytest.param(kind, marks=pytest.mark.long) for kind in KINDS if kind != "mcap")]
 
 
+@pytest.mark.long
 @pytest.mark.benchmark_ratio
 def test_csv_beside_pandas(tmp_path: Path, in_turns: InTurns) -> None:
     t = np.arange(200_000) * 0.05
@@ -40,7 +42,7 @@ def test_csv_beside_pandas(tmp_path: Path, in_turns: InTurns) -> None:
 
 
 @pytest.mark.benchmark_ratio
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_QUICK)
 def test_bag_beside_its_reader(tmp_path: Path, kind: str, in_turns: InTurns) -> None:
     """Against a loop over the wanted topics that does not even look into the messages."""
     bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 30.0, often=5, picture_bytes=10_000)
@@ -61,7 +63,7 @@ def iterate(bag: Path) -> int:
         return sum(1 for _ in reader.messages(connections=wanted))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_QUICK)
 def test_memory_is_that_of_the_numbers(tmp_path: Path, kind: str) -> None:
     """Pictures of 8 and 24 MB in a bag take no memory; three times the messages take what their numbers need."""
     most = []

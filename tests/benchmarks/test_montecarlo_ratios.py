@@ -105,7 +105,10 @@ def test_arrays_beside_the_same_by_hand(patrol: Prepared, in_turns: InTurns) -> 
     assert seconds["ours, a block through SimPy"] / seconds["SimPy by hand"] <= 80.0
 
 
-@pytest.mark.parametrize(("name", "least_gain"), [("valve_patrol_as_driven", 2.0), ("recharging_patrol", 1.4)])
+@pytest.mark.parametrize(
+    ("name", "least_gain"),
+    [("valve_patrol_as_driven", 2.0), pytest.param("recharging_patrol", 1.4, marks=pytest.mark.long)],
+)
 def test_a_block_through_simpy_is_evaluated_together(root: Path, name: str, least_gain: float) -> None:
     """Runs with chargers and activities: one evaluation of all intervals, and of all charger visits, of a block."""
     prepared = prepare(Task(str(root / f"missions/pioneer3dx/{name}.yaml"), (), None, SEED, "simpy"))

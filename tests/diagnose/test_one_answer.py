@@ -41,6 +41,7 @@ def alone(logs: list[LogTable], name: str, settings: Settings) -> tuple[str, Spl
     return made.text, split, diagnose_battery(subject, split, "robot", settings), fit.after.power_rmse_w
 
 
+@pytest.mark.long
 def test_a_short_drive_is_judged_alike_by_all_commands(warthog: list[LogTable]) -> None:
     """Two minutes on asphalt, of which four parts are too few to test turning: a law was a way round that test."""
     text, split, found, rmse_w = alone(warthog, "asphalt", Settings())
@@ -75,6 +76,7 @@ def test_what_the_parts_of_a_drive_are_predicted_as_well_without_is_not_named(wa
     assert reach >= (k.high - k.low) / k.value * (1.0 - 1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_what_improve_says_is_left_is_what_diagnose_says_of_its_file(root: Path, tmp_path: Path) -> None:
     """It held the base by what was known before these logs, which no command can know of the file that it wrote."""

@@ -81,6 +81,7 @@ def test_knowledge_from_elsewhere_stays_a_prior() -> None:
     assert from_elsewhere["c3"] == pytest.approx(math.hypot(fitted.sd / fitted.value, 0.03))
 
 
+@pytest.mark.long
 def test_a_robot_that_drifted_since_its_calibration_lacks_nothing(tmp_path: Path) -> None:
     # two draws of a base that is off by 3 % (one sd): c3 and c4 happen to differ by 10 %, the kinect by −8 %
     before, now = (
@@ -110,6 +111,7 @@ def test_calibrating_again_tells_what_counts_twice(tmp_path: Path) -> None:
     assert again.fits[0].parameters["c3"].sd < math.hypot(old.sd, 0.03 * old.value)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) -> None:
     logs = [with_payload(drive(seed, seconds=300.0, scrub_w_s_rad=5.0), 2.0 if seed > 1 else 0.0) for seed in range(5)]
@@ -244,6 +246,7 @@ def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
         assert told.startswith("Sure") is not doubted
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     logs = []
@@ -261,6 +264,7 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect() -> None:
     """The file has half of the power; inertia beside it is found with its size and alone."""
@@ -281,6 +285,7 @@ def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect()
     assert base["c3"].value == pytest.approx(2.0 * 9.79, rel=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_base_that_only_made_up_for_a_law_is_not_called_far_from_right() -> None:
     """The file is right; alone its base would have taken c3 +54 % and c2 −55 % of what is a law."""
@@ -297,6 +302,7 @@ def test_a_base_that_only_made_up_for_a_law_is_not_called_far_from_right() -> No
     assert max(abs(one.shift) for one in found.recalibration) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_law_of_what_an_effect_reads_takes_its_place() -> None:
     """A fan and a clock that rises: `cpu_load` was named beside a law of cpu_load, at twice what all of it costs."""
@@ -384,6 +390,7 @@ def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_
         assert ("calibrate" in command) is not bool(held)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []
@@ -404,6 +411,7 @@ def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypa
     assert done.steps[-2].power_rmse_w < 0.4 * done.steps[1].power_rmse_w
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [with_payload(drive(seed, seconds=160.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]

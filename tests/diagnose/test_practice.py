@@ -15,6 +15,7 @@ def diagnosis(shared: Path, case: str) -> BatteryDiagnosis:
     return diagnose_files("pioneer3dx", [folder / "train"], holdout=[folder / "heldout"]).batteries["robot"]
 
 
+@pytest.mark.long
 def test_the_right_name_first_and_the_heldout_error_falls(shared: Path) -> None:
     found = diagnosis(shared, "payload-5pct")
     assert found.effects[0].effect == "payload"
@@ -48,6 +49,7 @@ def test_confounded_names_both_and_proposes_to_vary_one(shared: Path, case: str)
     assert experiment.expected_power > 0.9
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_form_that_the_library_does_not_have_is_not_named(shared: Path) -> None:
     found = diagnosis(shared, "outside-om_v2")

@@ -118,7 +118,7 @@ def test_every_floor_has_its_level_where_the_floors_explain_how_the_runs_differ(
             assert floor.parameters[f"k_{name}"].value == pytest.approx(force, abs=0.8)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_the_floor_of_the_base_is_the_one_that_costs_least_however_short_its_runs_are(seed: int) -> None:
     newtons = (3.0, 4.0, 9.0, 5.0, 6.0)
     logs = on_floors(newtons, seed, seconds=(400.0, 300.0, 200.0, 30.0, 200.0))
@@ -130,6 +130,7 @@ def test_the_floor_of_the_base_is_the_one_that_costs_least_however_short_its_run
     assert told == pytest.approx(expected, abs=0.4)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     """One level, of the floor that scrubs most, was all that stood out: 2.3 % in place of 0.4."""
@@ -146,7 +147,7 @@ def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
 
 
 @pytest.mark.parametrize(("newtons", "gain", "names"), [((0.0, 2.0, 1.0, 3.0, 0.5), 0.0, 2), ((0.0,) * 5, 0.06, 1)])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_floors_are_compared_beside_the_base_as_it_is_with_what_was_found(
     newtons: Sequence[float], gain: float, names: int, seed: int
 ) -> None:
@@ -157,6 +158,7 @@ def test_floors_are_compared_beside_the_base_as_it_is_with_what_was_found(
     assert [effect.effect for effect in found.effects] == ["turning_scrub", "surface_rolling_resistance"][:names]
 
 
+@pytest.mark.long
 def test_floors_and_the_cold_are_both_found_where_the_noise_had_taken_them_for_runs_that_differ() -> None:
     logs = []
     for i, log in enumerate([*on_floors((0.5, 2.0, 6.0, 0.0, 3.5), 30), *on_floors((0.5, 2.0, 6.0, 0.0, 3.5), 31)]):
@@ -191,7 +193,7 @@ def test_where_each_floor_was_driven_once_floor_and_run_are_one(floors: int) -> 
     assert floor.smallest_detectable_share >= apart > 0.03  # the floors may differ by all that the runs do
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_runs_that_differ_by_chance_do_not_differ_by_floor(seed: int) -> None:
     logs = on_floors((0.0,) * 5, seed, gain=0.06)
     found = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]

@@ -59,7 +59,12 @@ def _error(robot: Path, logs: Path, folder: Path) -> float:
 
 
 @pytest.mark.parametrize(
-    ("command", "unit"), [*(("add-effect --effect brush", unit) for unit in UNITS), ("improve --yes", "W/rpm")]
+    ("command", "unit"),
+    [
+        ("add-effect --effect brush", UNITS[0]),
+        *(pytest.param("add-effect --effect brush", unit, marks=pytest.mark.long) for unit in UNITS[1:]),
+        pytest.param("improve --yes", "W/rpm", marks=pytest.mark.long),
+    ],
 )
 def test_a_candidate_in_any_unit_is_written_as_it_was_fitted(
     logs: dict[str, Path], tmp_path: Path, command: str, unit: str
@@ -79,7 +84,7 @@ def test_a_candidate_in_any_unit_is_written_as_it_was_fitted(
         assert _error(tmp_path / better, logs["held"], tmp_path) == pytest.approx(with_effect, rel=1e-3)
 
 
-@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("unit", [UNITS[2], *(pytest.param(u, marks=pytest.mark.long) for u in UNITS if u != UNITS[2])])
 @pytest.mark.parametrize(
     "form", ["{{value: {0}, sd: {0}, low: 0, unit: {1}}}", "{0} {1}", "{{value: {0} {1}, unit: {1}}}"]
 )

@@ -91,6 +91,7 @@ def test_what_an_unlogged_load_imitates_is_not_named(tmp_path: Path) -> None:
     assert any("camera" in note and "on_<component>" in note for note in found.remarks)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_law_of_motion_is_proposed_beside_an_unlogged_load(tmp_path: Path) -> None:
     """Driving in curves with payload costs what no effect has; turning_scrub and payload would only stand in for it."""
@@ -109,6 +110,7 @@ def test_a_law_of_motion_is_proposed_beside_an_unlogged_load(tmp_path: Path) -> 
     assert not {"turning_scrub", "payload"} & {effect.effect for effect in found.effects}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_a_column_stuck_at_zero_makes_nobody_sure(shared: Path, tmp_path: Path) -> None:
     """The camera makes the processor work; with its column stuck at 0 the processor alone must not be named."""

@@ -16,6 +16,7 @@ pytestmark = pytest.mark.usefixtures("examined_once")
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib = pytest.importorskip("matplotlib")

@@ -192,7 +192,7 @@ def rows(seed: int = 3, count: int = 400) -> dict[str, np.ndarray]:
     return {"time_s": time_s, "speed_m_s": np.repeat(rng.choice([-0.4, 0.0, 0.5, 1.0], count // 20), 20)}
 
 
-@pytest.mark.parametrize("size", [0, 1, 7, 64])
+@pytest.mark.parametrize("size", [0, pytest.param(1, marks=pytest.mark.long), 7, 64])
 def test_a_log_is_driven_as_the_equation_says_in_blocks_too(size: int) -> None:
     columns = rows()
     log = log_of(columns, np.ones(400))

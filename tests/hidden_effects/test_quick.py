@@ -87,32 +87,39 @@ def named(case: str, seed: int) -> tuple[str, ...]:
     return tuple(effect.effect for effect in judged(seen, laws=False).effects)
 
 
+@pytest.mark.long
 def test_oil_that_thickens_exponentially_brings_no_second_name():
     assert named("temperature_friction-5pct", 42) == ("temperature_friction",)
 
 
+@pytest.mark.long
 def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
     assert named("component_power-kinect-2pct", 0) == ("component_power:kinect",)
 
 
+@pytest.mark.long
 @EFFECTS
 def test_what_stands_in_for_a_plan_that_is_not_kept_is_not_named() -> None:
     """Copper loss comes in, and its form is not right: what decides against it is that judgement."""
     assert told("execution-dwell-3pct", 1010)["named"] == "dwell"
 
 
+@pytest.mark.long
 def test_surges_that_the_clock_without_them_had_smeared_are_named():
     assert named("start_surge-2pct", 1010) == ("start_surge",)
 
 
+@pytest.mark.long
 def test_a_surge_acts_on_ramps_and_its_form_is_judged_with_them():
     assert named("start_surge-5pct", 1013) == ("start_surge",)
 
 
+@pytest.mark.long
 def test_a_payload_that_the_noise_took_for_runs_that_differ_is_named_beside_what_was_louder():
     assert {*named("two-start_surge-payload", 1010)} == {"start_surge", "payload"}
 
 
+@pytest.mark.long
 def test_what_recalibration_takes_of_an_effect_is_no_other_form_of_it():
     assert {*named("two-rolling_friction-turning_scrub", 1010)} == {"rolling_friction", "turning_scrub"}
 
@@ -128,6 +135,7 @@ def test_two_effects_are_both_named():
     assert not result["confident_wrong"], result
 
 
+@pytest.mark.long
 @EFFECTS
 @pytest.mark.parametrize("truth", ["payload", *study("surface_rolling_resistance")])
 def test_payload_only_on_carpet_cannot_be_told_apart_until_the_proposed_experiment_is_driven(truth):
@@ -145,7 +153,7 @@ def test_what_no_library_holds_is_not_named(what):
 
 
 @EFFECTS
-@pytest.mark.parametrize("variant", ["energy", "two-runs"])
+@pytest.mark.parametrize("variant", ["two-runs", pytest.param("energy", marks=pytest.mark.long)])
 def test_other_meters_and_few_runs(variant):
     result = told(f"turning_scrub-5pct-{variant}")
     assert result["first_right"], result
@@ -165,6 +173,7 @@ def test_nothing_planned_names_no_behaviour():
     assert row("nothing-planned")["named"] == ""
 
 
+@EFFECTS
 def test_the_same_case_twice_gives_the_same_report(tmp_path):
     folder = write(make(replace(ALL_CASES["grade-5pct-two-runs"], duration_s=200.0), 2), tmp_path)
     first, second = (diagnose(folder / "train", folder / "heldout", "pioneer3dx")[1] for _ in range(2))
@@ -183,6 +192,7 @@ def test_table_is_written_whole(root: Path, tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.long
 @EFFECTS
 def test_practice_folders_are_scored_by_the_same_command(shared: Path, tmp_path):
     case = shared / "practice" / "grade-5pct"

@@ -160,6 +160,7 @@ def test_the_world_imports_nothing_of_the_product():
             assert not any(n.split(".")[0] == "missionsim" for n in names), path.name
 
 
+@pytest.mark.long
 def test_peers_find_a_loud_effect_and_trees_beat_the_nominal_model():
     pytest.importorskip("pysindy")
     rows = {row["method"]: row for row in score_task(Task("turning_scrub-10pct", 3, with_product=False))}

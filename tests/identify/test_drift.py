@@ -32,38 +32,51 @@ def loaded(kilograms: list[float], drift_n: float, each_n: float = 0.0) -> list[
     return runs
 
 
-def diagnosed(runs: list[RunData]) -> Identification:
-    return identify(runs, library(), {})
-
-
 MORE_EACH_TIME = [2.0 * (j // (COUNT // 3)) for j in range(COUNT)]
 IN_TURN = [2.0 * (j % 3) for j in range(COUNT)]
 
 
-def test_a_drift_over_the_day_is_not_called_the_load_that_grew_with_it() -> None:
-    found = diagnosed(loaded(MORE_EACH_TIME, 4.0))
+def diagnosed(runs: list[RunData]) -> Identification:
+    return identify(runs, library(), {})
+
+
+@pytest.fixture(scope="module")
+def drifted() -> Identification:
+    """Friction that grew by 4 N over the day, while more was loaded each time."""
+    return diagnosed(loaded(MORE_EACH_TIME, 4.0))
+
+
+def test_a_drift_over_the_day_is_not_called_the_load_that_grew_with_it(drifted: Identification) -> None:
+    found = drifted
     assert not found.effects
     assert found.verdict == "unexplained_structure"
     assert "either payload, or a steady drift from run to run in their order" in found.unexplained.shape
 
 
-@pytest.mark.parametrize(("kilograms", "drift_n"), [(MORE_EACH_TIME, 0.0), (IN_TURN, 0.0), (IN_TURN, 0.5)])
+@pytest.mark.parametrize(
+    ("kilograms", "drift_n"),
+    [
+        pytest.param(MORE_EACH_TIME, 0.0, marks=pytest.mark.long),
+        pytest.param(IN_TURN, 0.0, marks=pytest.mark.long),
+        (IN_TURN, 0.5),
+    ],
+)
 def test_a_load_is_named_that_a_drift_does_not_explain_as_well(kilograms: list[float], drift_n: float) -> None:
     found = diagnosed(loaded(kilograms, drift_n, each_n=1.0))
     assert [effect.effect for effect in found.effects] == ["payload"]
     assert "drift" not in found.unexplained.shape
 
 
-def test_three_runs_have_no_drift_that_could_be_told_from_anything() -> None:
-    model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model
+def test_three_runs_have_no_drift_that_could_be_told_from_anything(drifted: Identification) -> None:
+    model = drifted.choice.model
     payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
     assert drifts_as_well(model.design, [payload], [])
     few = diagnosed(loaded(MORE_EACH_TIME, 4.0)[::6]).choice.model
     assert not drifts_as_well(few.design, [payload], [])
 
 
-def test_times_of_the_logs_give_the_order_whatever_their_names_are() -> None:
-    model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model
+def test_times_of_the_logs_give_the_order_whatever_their_names_are(drifted: Identification) -> None:
+    model = drifted.choice.model
     payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
     hidden = replace(model.design, names=tuple("abcdefghijklmnopqr"))
     assert not drifts_as_well(hidden, [payload], [])
@@ -74,9 +87,9 @@ def test_times_of_the_logs_give_the_order_whatever_their_names_are() -> None:
     assert not drifts_as_well(replace(hidden, begins_s=tuple(1.5e9 + j for j in range(COUNT))), [payload], [])
 
 
-def test_names_that_begin_with_what_was_loaded_tell_no_order_of_the_day() -> None:
+def test_names_that_begin_with_what_was_loaded_tell_no_order_of_the_day(drifted: Identification) -> None:
     """Sorted by name, the heavy runs stand before the light ones whenever they were driven."""
-    model = diagnosed(loaded(MORE_EACH_TIME, 4.0)).choice.model
+    model = drifted.choice.model
     payload = next(k for k, c in enumerate(model.design.layout.columns) if c.name == "payload")
     names = tuple(f"{load}_{j}" for load in ("none", "some", "very") for j in range(COUNT // 3))
     assert not drifts_as_well(replace(model.design, names=names), [payload], [])

@@ -84,6 +84,7 @@ def _rmse_on(found, runs, effects=True):
     return float(np.sqrt(np.mean((prediction(model, model.chosen, design) - design.y) ** 2)))
 
 
+@pytest.mark.long
 def test_effect_helps_on_runs_not_used():
     runs = make_runs(5, _strength("payload", 0.06), count=9)
     found = identify(runs[:6], library(), {})
@@ -111,6 +112,7 @@ def test_payload_only_on_carpet_names_both():
     assert identify(apart, library(), {}).effects[0].separation_nats > first.separation_nats + 5.0
 
 
+@pytest.mark.long
 def test_periodic_load_is_structure_not_an_effect():
     found = identify(make_runs(4, periodic_w=1.2, count=8), library(), {})
     assert found.verdict == "unexplained_structure"
@@ -127,7 +129,7 @@ def test_dead_zone_is_not_called_scrub():
     assert "yaw_rate_rad_s" in found.unexplained.depends_on
 
 
-@pytest.mark.parametrize("delay", [-0.3, 0.5])
+@pytest.mark.parametrize("delay", [-0.3, pytest.param(0.5, marks=pytest.mark.long)])
 def test_clock_error_is_found_and_does_no_harm(delay):
     found = identify(make_runs(9, _strength("turning_scrub", 0.05), delay_s=delay), library(), {})
     assert _names(found) == ["turning_scrub"]
@@ -229,7 +231,7 @@ def loaded(rng: np.random.Generator, name: str, idle: bool, watts: float) -> Run
 
 
 @pytest.mark.parametrize(("watts", "names"), [(1.6, ["cpu_load"]), (0.5, ["cpu_load"]), (0.0, [])])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: list[str]) -> None:
     """Within runs its coefficient is a fraction, and offsets of the runs would take the rest."""
     rng = np.random.default_rng(seed)
@@ -240,7 +242,7 @@ def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: l
 
 @pytest.mark.parametrize("unlogged", [0.0, 6.0])
 @pytest.mark.parametrize(("watts", "names"), [(5.0, ["cpu_load"]), (0.0, [])])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_load_logged_late_is_no_noise(seed: int, watts: float, names: list[str], unlogged: float) -> None:
     """Load in steps of 8 to 30 s that the log tells 2 s later: a noise of 25 s takes all but the differences. Alone, or
     beside another one that no column shows."""

@@ -234,7 +234,10 @@ def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None
     assert sd == pytest.approx(np.sqrt(np.sum((np.array(without) - share) ** 2)))
 
 
-@pytest.mark.parametrize("weights", [[1, 1, 1], [9, 1, 1, 1, 1, 1], [5, 3, 2, *[0.02] * 50]])
+@pytest.mark.parametrize(
+    "weights",
+    [[1, 1, 1], *(pytest.param(w, marks=pytest.mark.long) for w in ([9, 1, 1, 1, 1, 1], [5, 3, 2, *[0.02] * 50]))],
+)
 def test_false_alarms_of_the_robust_error_keep_to_their_level(weights: list[float]) -> None:
     """Of 20,000 shares of nothing 200 are to be found at a level of 1 %, however few clusters lead."""
     rng = np.random.default_rng(len(weights))

@@ -120,7 +120,7 @@ def test_the_measured_power_under_another_name_is_no_cause() -> None:
     assert _own_meter(ground) == {"kinova_current"}
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.4])
+@pytest.mark.parametrize("late_s", [0.4, pytest.param(0.0, marks=pytest.mark.long)])
 def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
     """A robot that drives at one speed: only its turns, which no effect of the library costs, show a late meter."""
     rng, runs = np.random.default_rng(1), []

@@ -62,6 +62,7 @@ def form_of(load: str, formula: str) -> bool:
     return formula in [lags[load].format(tau) for tau in (13, 20, 30, 50, 80)]
 
 
+@pytest.mark.long
 def test_a_fan_that_runs_on_is_a_law_with_a_lag(tmp_path: Path) -> None:
     """That such a law is written and simulated is decided by heat, below."""
     (tmp_path / "rover.yaml").write_text(ROBOT)
@@ -101,6 +102,7 @@ def test_a_load_with_a_memory_is_found_written_and_simulated(tmp_path: Path, mon
     assert promised["heldout_rmse_w"]["after"] == pytest.approx(errors["better.yaml"], rel=1e-4)
 
 
+@pytest.mark.long
 def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:
     # standing with a load looks like slowing down long ago; each law's own noise made its left-out errors its own too
     report, _ = diagnose(*make("rest_payload", 3, runs=5, heldout=1, duration_s=150.0).write(tmp_path))
@@ -108,6 +110,7 @@ def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:
     assert first["formula"] == "k * (1 - (abs(speed_m_s) >= 0.005 or abs(yaw_rate_rad_s) >= 0.02)) * payload_kg"
 
 
+@pytest.mark.long
 def test_watts_of_one_of_several_like_loads_are_a_law(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -151,6 +151,7 @@ def test_a_band_that_lies_elsewhere_is_not_called_right(hidden: tuple[Path, Path
     assert held_by_band("v_w_m", hidden[3], moved) < 0.1
 
 
+@pytest.mark.long
 def test_add_effect_writes_the_law_that_is_proposed_and_run_uses_it(
     hidden: tuple[Path, Path, dict[str, Any], Made], tmp_path: Path, root: Path
 ) -> None:
@@ -180,6 +181,7 @@ def test_add_effect_writes_the_law_that_is_proposed_and_run_uses_it(
     assert made["effect"] in terms
 
 
+@pytest.mark.long
 def test_nothing_hidden_gives_no_formula(tmp_path: Path) -> None:
     train, heldout = make(None, 12, runs=8, heldout=2, duration_s=300.0).write(tmp_path)
     report, _ = diagnose(train, heldout)

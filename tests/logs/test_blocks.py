@@ -31,7 +31,7 @@ def columns_of(n: int, step_s: float = 0.1) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-@pytest.mark.parametrize("rows", [500, 1999, 100_000])
+@pytest.mark.parametrize("rows", [1999, *(pytest.param(rows, marks=pytest.mark.long) for rows in (500, 100_000))])
 def test_blocks_are_the_log(tmp_path: Path, form: str, rows: int) -> None:
     columns = columns_of(40_000 if form == "csv" else 6000)
     keep = np.random.default_rng(0).random(len(columns["time_s"])) > 0.02

@@ -17,6 +17,7 @@ from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
 
 
+@pytest.mark.long
 def test_twenty_visits_within_a_said_gap(root: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     spots = rng.uniform(0.0, 200.0, (24, 2))
@@ -86,6 +87,7 @@ def test_bounds_of_many_visits_hold_with_values_and_loads(root: Path, seed: int)
         assert found.bound <= exact.objective * (1 + 1e-9) <= found.objective * (1 + 2e-9)
 
 
+@pytest.mark.long
 def test_sixteen_visits_of_value_and_a_load_are_bounded(root: Path, tmp_path: Path) -> None:
     places = ["gate", "pump", "tank", "ridge", "mast", "yard", "well", "ramp"]
     visits: list[dict] = [

@@ -52,6 +52,7 @@ def test_no_plan_names_what_would_do_and_it_does(root: Path, tmp_path: Path) -> 
     assert plan(root, tmp_path, TWO, *FEW, f"{change['change']}={change['to'] * (1 + 1e-9)} Wh")["feasible"]
 
 
+@pytest.mark.long
 def test_where_no_plan_is_as_sure_as_asked_what_is_sure_would_do(root: Path, tmp_path: Path) -> None:
     asked = ("within.with_probability=0.999999", "within.reserve={drive: 66 %}")
     none = plan(root, tmp_path, *asked, code=1)
@@ -311,6 +312,7 @@ def test_what_would_do_where_the_load_is_too_much_or_too_little(
     assert plan(root, tmp_path, visits, f"{would_do}={to} kg")["feasible"]
 
 
+@pytest.mark.long
 def test_of_two_windows_that_cannot_both_be_kept_one_ends_later(root: Path, tmp_path: Path) -> None:
     visits = "visits=[{place: tank, window: {until: %s s}}, {place: well, window: {until: %s s}}]"
     times = [150.0, 150.0]
@@ -398,6 +400,7 @@ def _pairs(*settings: str) -> list[tuple[str, str]]:
     return [(path, value) for path, _, value in (one.partition("=") for one in settings)]
 
 
+@pytest.mark.long
 def test_with_charges_the_margin_is_as_tight_as_draws_can_tell(root: Path, tmp_path: Path) -> None:
     plain, _ = plan_task(load_task(root / "missions/planning/inspection.yaml", _pairs(TWO, *CHARGED)))
     sure = plan(root, tmp_path, TWO, *CHARGED, "within.with_probability=0.95")

@@ -27,6 +27,7 @@ def reach(root: Path, tmp_path: Path, *words: str, code: int) -> dict:
     return json.loads(target.read_text())
 
 
+@pytest.mark.long
 def test_all_places_within_reach_of_the_whole_battery(root: Path, tmp_path: Path) -> None:
     found = reach(root, tmp_path, "--plot", str(tmp_path / "map.svg"), code=0)
     assert len(found["places"]) == 11
@@ -132,6 +133,7 @@ def test_bad_questions(root: Path, capsys: pytest.CaptureFixture[str], words: li
     assert told in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_pictures_and_page_of_a_plan(root: Path, tmp_path: Path) -> None:
     task = root / "missions/planning/inspection.yaml"
     words = ["plan", str(task), "--set", "visits=[{place: pump}]", "--plot", str(tmp_path / "map.png")]

@@ -237,6 +237,7 @@ def test_results_are_fresh(root: Path, items: dict[str, list[Item]]) -> None:
     assert {path.name for path in folder.iterdir()} == set(made) | pictures
 
 
+@pytest.mark.long
 def test_pictures_are_the_same_from_run_to_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from missionsim.published.pictures import draw
 

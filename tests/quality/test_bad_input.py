@@ -223,8 +223,14 @@ def test_results_keep_links_and_devices(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"]
 
 
-@pytest.mark.parametrize("more", [[], ["--json", "-"]])
-@pytest.mark.parametrize("term", ["xterm", None])
+@pytest.mark.parametrize(
+    ("term", "more"),
+    [
+        ("xterm", []),
+        (None, ["--json", "-"]),
+        *(pytest.param(*both, marks=pytest.mark.long) for both in (("xterm", ["--json", "-"]), (None, []))),
+    ],
+)
 def test_a_full_standard_output_is_called_so(
     term: str | None, more: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

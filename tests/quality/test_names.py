@@ -151,7 +151,9 @@ for words in (["effects"], ["run", "missions/pioneer3dx/valve_patrol.yaml"], ["-
 """
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-16"])
+@pytest.mark.parametrize(
+    "encoding", ["ascii", *(pytest.param(one, marks=pytest.mark.long) for one in ("cp1252", "utf-16"))]
+)
 def test_any_encoding_of_the_output_will_do(root: Path, encoding: str) -> None:
     done = _in_encoding(root, encoding, ["-c", EVERY])
     assert (done.returncode, done.stderr) == (0, b"")

@@ -69,6 +69,7 @@ def test_no_button_lies_on_a_legend(done: Improved, tmp_path: Path) -> None:
     assert found == {"errors": [], "overlaps": []}
 
 
+@pytest.mark.long
 def test_many_long_runs_still_make_a_small_page(done: Improved) -> None:
     rng = np.random.default_rng(0)
     time_s = np.arange(0.0, 3600.0, 0.1)

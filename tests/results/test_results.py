@@ -122,7 +122,7 @@ def test_faults_give_exit_code_two(patrol: Path, capsys: pytest.CaptureFixture[s
     assert not (tmp_path / "no").exists()
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg"])
+@pytest.mark.parametrize("suffix", ["png", pytest.param("svg", marks=pytest.mark.long)])
 def test_figures(root: Path, tmp_path: Path, suffix: str) -> None:
     mission = root / "missions" / "pioneer3dx" / "recharging_patrol.yaml"
     assert run_command(["run", str(mission), "--out", str(tmp_path), "--quiet", "--plot", suffix]) == 0

@@ -91,6 +91,7 @@ def warthog(shared: Path, root: Path) -> list[LogTable]:
     return import_source(shared / "data" / "warthog_drive", load_map(root / "docs" / "maps" / "warthog.yaml"))
 
 
+@pytest.mark.long
 def test_two_halves_of_the_warthogs_drives_agree(warthog: list[LogTable]) -> None:
     """And predict each other as least squares does with turning that saturates and inertia both ways."""
     found, errors = [], []
@@ -131,6 +132,7 @@ def test_each_of_the_warthogs_drives_is_predicted_from_the_others(warthog: list[
     as_well_as_least_squares(np.array(errors))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called_sure(shared: Path) -> None:
     """A base that lacks what turning costs falls with the speed: what bends it back is a curve, and no friction."""
@@ -144,6 +146,7 @@ def test_friction_beside_a_slope_of_speed_that_falls_below_nothing_is_not_called
     assert "that it is viscous_friction is not" in sure(found)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("shared", "laws_at_once")
 def test_turning_at_speed_beside_inertia_is_not_called_scrub(tmp_path: Path) -> None:
     """Scrub stood in for it and left it too little to show over four runs: 86 W where least squares has 45."""
@@ -168,6 +171,7 @@ def few_of_a_husky(folder: Path, seed: int, hidden: Sequence[str], runs: int) ->
     return diagnose(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("shared")
 def test_what_few_runs_differ_by_may_be_all_that_is_constant_in_them(tmp_path: Path) -> None:
     """Payload and cold over eight drives of a Husky, of which three hardly move: how long they had moved was called the
@@ -181,6 +185,7 @@ def test_what_few_runs_differ_by_may_be_all_that_is_constant_in_them(tmp_path: P
     assert min(limits["payload"], limits["temperature_friction"]) > 0.11  # 9 and 11 % of the base's energy are hidden
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("shared")
 @pytest.mark.parametrize(("seed", "drifts"), [(32, True), (41, False)])
 def test_a_drift_stands_beside_cold_and_no_law_of_floor_and_cold_in_their_place(

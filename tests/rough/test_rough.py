@@ -30,6 +30,7 @@ def driven(kind: str, seed: int, folder: Path):
     return improve(made.text, split, "robot", Settings(), lambda finding, diagnosis: True)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 @pytest.mark.parametrize("kind", ["scrub"])
 def test_the_right_effect_comes_first_and_the_error_falls(kind: str, tmp_path: Path) -> None:
@@ -59,6 +60,7 @@ def test_a_noisy_speed_at_ten_hertz_does_not_hide_the_inertia() -> None:
     assert list(case(REGIMES["10 Hz"], "acceleration", 0.05, 0)["named"]) == ["acceleration"]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_no_effect_is_named_beside_a_law_that_needs_none(tmp_path: Path) -> None:
     """A robot that skids above a turn rate: the laser, which is always on, was named with a power below nought."""

@@ -70,6 +70,7 @@ def test_intervals_of_batches_hold_the_truth(prepared: Prepared) -> None:
     assert all(LEAST <= share <= MOST for share in shares.values()), shares
 
 
+@pytest.mark.long
 def test_intervals_of_differences_hold_the_truth(prepared: Prepared, tmp_path: Path) -> None:
     other = prepare(task_of(tmp_path, ("segments.0.drive.speed", "0.45 m/s")))
     column = "energy_robot_wh"

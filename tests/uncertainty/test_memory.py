@@ -32,6 +32,7 @@ def peak_mb(folder: Path, segments: int, runs: int, engine: str) -> float:
     return int(kilobytes) / (1024.0 if sys.platform != "darwin" else 1024.0**2)
 
 
+@pytest.mark.long
 def test_memory_of_a_batch_as_arrays_over_segments(tmp_path: Path) -> None:
     short, long = (peak_mb(tmp_path, segments, 1200, "arrays") for segments in (30, 200))
     assert long < short + 100.0

@@ -157,7 +157,7 @@ main()
 """The command, which goes on to no more blocks when the first is there: it cannot end before it is ended."""
 
 
-@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("ending", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.long)])
 def test_an_ended_batch_resumes_to_the_same_bytes(
     tmp_path: Path, whole: dict[str, bytes], ending: signal.Signals
 ) -> None:
@@ -370,6 +370,7 @@ def test_paired_intervals_cover_the_true_difference() -> None:
     assert 368 <= covered <= 392
 
 
+@pytest.mark.long
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
@@ -390,6 +391,7 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path,
     assert files(tmp_path / "there") == whole
 
 
+@pytest.mark.long
 def test_no_scheduler_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
