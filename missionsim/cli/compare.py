@@ -174,5 +174,5 @@ def _print(fits: Sequence[ModelFit], remarks: Sequence[str], out: Path) -> None:
             f"{fit.after.run_energy_error_pct:.2f} % of the energy of a run; {clock}"
         )
     for remark in remarks:
-        terminal.print(f"note: {remark}")
+        terminal.print(remark if remark.startswith(("note: ", "warning: ")) else f"note: {remark}")
     terminal.print(f"written: {out}")

@@ -292,4 +292,4 @@ def _number(value: float | None, form: str, interval: list[float] | None = None)
     if value is None:
         return "–"
     text = f"{value:{form}}".replace("-", "−")
-    return text if interval is None else f"{text} ± {interval[1] - value:{form}}"
+    return text if interval is None else f"{text} ±{interval[1] - value:{form}}"

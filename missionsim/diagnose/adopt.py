@@ -302,6 +302,6 @@ def _supported(seen: Examined, named: Named, effect: str) -> tuple[tuple[Finding
     told = f"{effect} is not supported by these logs: {searched.reason}"
     if not right_sign:
         told += "; its coefficient comes out with the wrong sign"
-    if limit is not None and effect not in seen.found.demoted:
+    if limit is not None and not searched.open:
         told += f"; less than {100 * limit:.1f} % of the energy would not be seen"
     return fitted.effects, told

@@ -24,7 +24,7 @@ from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
 from missionsim.identify.settings import SEVERAL_RUNS, SHIFTED_MEAN_RATIO, SHIFTED_RATIO, Settings
 from missionsim.labels import Labels
-from missionsim.numerals import counted, rounded
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 from missionsim.runs.drive import drive
 from missionsim.runs.error import Errors, errors_of
@@ -274,7 +274,7 @@ class Models:
         names = [features.runs[i].run for i in held]
         others, out = ([run for run in self.runs if (run.run in names) == left] for left in (False, True))
         models = (self.power, self.fit((), runs=others).model, self.fit(effects, runs=others).model)
-        how = f"the {counted(count, 'run')} with most {covariate} left out and predicted"
+        how = f"the {'run' if count == 1 else f'{count} runs'} with most {covariate} left out and predicted"
         return self.held_out(models, out, how, True)
 
     def recalibrated(self, fitted: FinalFit) -> tuple[Recalibrated, ...]:

@@ -109,7 +109,8 @@ class Improved:
         the command alone where the file as it was given is.
         """
         before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
-        far = "" if self.added else base_note(before, recalibrated)
+        # on the runs that it is fitted to, a base fitted anew is always better
+        far = base_note(before, recalibrated) if self.heldout and not self.added else ""
         if not (self.worse or far):
             return "", ""
         *bars, last = self.steps[:-1]

@@ -113,7 +113,7 @@ def choose_split(
         if not held or not train:
             which = "no run" if not held else "every run"
             raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
-        return Split(train, held, f"the {len(held)} runs with {text}", shifted=True)
+        return Split(train, held, f"{counted(len(held), 'run')} with {text}", shifted=True)
     names = [name.strip() for name in text.split(",") if name.strip()]
     known = [log.run for log in logs]
     for name in names:

@@ -107,7 +107,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     if battery.unsure and not battery.next_experiments:
         lines.append(("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart"))
     lines.append(("NOT SEEN", _not_seen(battery)))
-    lines.append(("REMAINS", battery.unexplained.shape or "nothing beyond the noise"))
+    without = "without the law: " * bool(battery.proposed_laws)
+    lines.append(("REMAINS", f"{without}{left}" if (left := battery.unexplained.shape) else "nothing beyond the noise"))
     shifts = [s for s in battery.recalibration if abs(s.shift_in_prior_sd) >= 1.0][:6]
     for beyond, said in (
         (False, "recalibrated, no discovery"),

@@ -176,11 +176,11 @@ def _propose(
         return None if rest is None else _propose(ground, rest, memory, found, once_more=False, most=most)
     ground, errors = search.ground, fitted.errors
     relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
-    laws = tuple(_law(one, near[0], fitted.share, relative, search) for one in near)
+    laws = tuple(_law(one, near[0], fitted, relative, search) for one in near)
     sets = [set(law.variables) for law in laws]
     certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))
     possible = tuple(dict.fromkeys(v for law in laws for v in law.variables if v not in certain))
-    more = [_law(one, near[0], fitted.share, relative, search) for one in beside]
+    more = [_law(one, near[0], fitted, relative, search) for one in beside]
     curve = None if memory else _curve([*laws, *more], ground, relative)
     made = Proposal(
         laws,
@@ -229,8 +229,8 @@ def _set(near: Sequence[Scored], grammar: Grammar) -> tuple[list[Scored], list[S
     return kept[:MOST_LAWS], beside[:MOST_BESIDE]
 
 
-def _law(one: Scored, first: Scored, share: float, relative: float, search: Search) -> Law:
-    grammar, share = search.grammar, share if one is first else one.share
+def _law(one: Scored, first: Scored, fitted: Fitted, relative: float, search: Search) -> Law:
+    grammar, share = search.grammar, fitted.share if one is first else one.share
     mean = float(np.average(np.abs(search.watts(one.form)), weights=search.ground.design.duration_s))
     k = share * search.ground.mean_power_w / max(mean, 1e-300)
     half = Z95 * relative * abs(k)
@@ -242,7 +242,8 @@ def _law(one: Scored, first: Scored, share: float, relative: float, search: Sear
         k - half,
         k + half,
         share,
-        max(0.0, first.score - one.score),
+        # forms are ranked at one noise, which is not that of the fit whose rise is told
+        max(0.0, first.score - one.score) * fitted.rise / first.gain,
         variables=grammar.variables(one.form),
     )
 

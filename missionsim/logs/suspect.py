@@ -293,7 +293,8 @@ def check_frozen(rows: Rows, held: Mapping[str, Bools]) -> dict[str, Bools]:
             step = float(np.median(np.diff(time[:_SAMPLE])))
             count = len(data) - int(slow.fresh.sum())
             told = f"values repeat: about {1 / slow.period_s:.2g} Hz in rows of {1 / step:.3g} Hz"
-            rows.remark("repeated", name, told, "kept; each refresh counts once", "note", None, count)
+            once = "; each refresh counts once" * name.startswith(("power_", "current_", "voltage_"))
+            rows.remark("repeated", name, told, f"kept{once}", "note", None, count)
             result[name] = slow.fresh
             continue
         starts = np.flatnonzero(np.r_[True, data[1:] != data[:-1]])

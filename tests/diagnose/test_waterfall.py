@@ -226,6 +226,8 @@ def test_a_base_that_is_off_is_told_with_the_command_that_fits_it() -> None:
     assert sentences.next_step(quiet, sentences.Asked("my.yaml", ["train"])) == command
     near = (Step("before", 0.9, 7.2), *bars[1:])
     assert replace(improved(1.0), added=(), steps=near).advice("my.yaml", ["train"]) == ("", "")
+    # on the runs that it is fitted to, a base fitted anew is always better
+    assert replace(improved(1.0), added=(), steps=bars, heldout=False).advice("my.yaml", ["train"]) == ("", "")
 
 
 def test_a_model_beside_which_something_remains_is_not_good() -> None:
