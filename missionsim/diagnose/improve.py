@@ -110,15 +110,15 @@ class Improved:
         """
         before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
         # on the runs that it is fitted to, a base fitted anew is always better
-        far = base_note(before, recalibrated) if self.heldout and not self.added else ""
+        off = self.heldout or any(one.beyond for one in self.last.recalibration)
+        far = base_note(before, recalibrated) if off and not self.added else ""
         if not (self.worse or far):
             return "", ""
         *bars, last = self.steps[:-1]
         best = best_before([*bars, last]) if self.worse else 1
         if self.worse and last.power_rmse_w < bars[best].power_rmse_w:
-            less = (
-                "as it was" if before.energy_error_pct <= recalibrated.energy_error_pct else "with its base fitted anew"
-            )
+            was = before.energy_error_pct <= recalibrated.energy_error_pct
+            less = "as it was" if was else "with its base fitted anew"
             return f"For the power at each moment the new file is better, for the energy of a run the file {less}.", ""
         if best == 0:
             return "The robot file as it was predicts these runs best: leave it as it is.", ""
@@ -126,11 +126,12 @@ class Improved:
             return f"No effect was added. {far} The file that is written has that base.", ""
         given = f"--robot {shlex.quote(robot)} {' '.join(shlex.quote(str(log)) for log in logs)}"
         out = f"--out {shlex.quote(Path(robot).stem + '_better.yaml')}"
+        calibrate = f"missionsim calibrate {given} {out}"
         if far:
-            return f"Nothing was added; the file is as it was. {far}", f"missionsim calibrate {given} {out}"
+            return f"Nothing was added; the file is as it was. {far}", calibrate
         if best == 1:
             told = "The same file with its base fitted anew and nothing added predicts these runs better."
-            return told, f"missionsim calibrate {given} {out}"
+            return told, calibrate
         late = self.added[best - 1 :]
         without = " ".join(f"--without {shlex.quote(name)}" for name in late)
         told = f"The file without {' and '.join(late)} predicts these runs better."
@@ -354,13 +355,13 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     rounds = Rounds(State(text, text, seen.models, seen, first), split, battery, settings, ask, priors)
     end = rounds.best()
     text, models, last, taken = end.text, end.models, end.last, end.taken
+    made = Subject.of(robot_from_text(text)) if taken else start
     if taken:  # what `diagnose` says of the file: it knows nothing of the base beside these logs
-        made = Subject.of(robot_from_text(text))
         last = diagnose_battery(made, split, battery, settings, seen=end.seen.known_as(made, split))
-    added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
-    heldout = [log for log in split.heldout if battery in log.power_w]
-    untested = lacking(heldout, added, start.model.batteries, models.runs)
-    heldout = [log for log in heldout if log.run not in untested]
+    added = [term.effect for term in made.model.of(battery) if not term.base]
+    measured = [log for log in split.heldout if battery in log.power_w]
+    untested = lacking(measured, added, start.model.batteries, models.runs)
+    heldout = [log for log in measured if log.run not in untested]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}
     last_models = end.believed()
     if heldout and not taken and last_models is not models:
@@ -368,7 +369,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     # as add-effect writes one of several: its size as it was found beside the others, the base fitted again
     powers |= {f"+ {e.effect}": models.fit(taken[: i + 1], fixed=True).model for i, e in enumerate(taken[:-1])}
     if taken:
-        powers[f"+ {taken[-1].effect}"] = Subject.of(robot_from_text(text)).model
+        powers[f"+ {taken[-1].effect}"] = made.model
     runs = heldout or models.runs
     errors = {name: models.errors(power, runs) for name, power in powers.items()}
     steps = [Step(name, one.run_energy_error_pct, one.power_rmse_w) for name, one in errors.items()]
