@@ -19,6 +19,8 @@ from missionsim.compare.where import Accumulator, RunSums, Series, dependences
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import integrate
 from missionsim.errors import Fault, InputError
+from missionsim.inputs import load_mission, load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.logs import find_logs, iter_blocks, read_logs
 from missionsim.logs.raw import Remark, merge
 from missionsim.logs.read import distinct_logs, same_content
@@ -188,9 +190,6 @@ def compare_files(
     by, on_run
         See `compare`.
     """
-    from missionsim.inputs import load_mission, load_robot
-    from missionsim.inputs.power import build_power_model
-
     logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
     loaded: list[Any] = []
     faults: list[Fault] = []

@@ -13,6 +13,7 @@ from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.proposed import formula_of, of_form, with_candidate, with_law
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import bars_of, worse_note
+from missionsim.effects.library import get_effect
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
@@ -20,6 +21,8 @@ from missionsim.fit.parameters import CALIBRATION, as_fitted, fitted_source, ran
 from missionsim.identify.findings import AT_BOUND, Estimate, Finding, HeldOut
 from missionsim.identify.identification import fit_effects
 from missionsim.identify.settings import Settings
+from missionsim.inputs import edit
+from missionsim.inputs.loading import robot_from_text
 from missionsim.physics.lag import Meter
 
 if TYPE_CHECKING:
@@ -85,8 +88,6 @@ def check_name(robot: RobotSpec, effect: str) -> None:
     ------
     missionsim.errors.InputError
     """
-    from missionsim.effects.library import get_effect
-
     if any(effect == spec.name for spec in robot.effects):
         return
     family, colon, component = effect.partition(":")
@@ -143,8 +144,6 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
-    from missionsim.inputs.loading import robot_from_text
-
     subject = Subject.of(robot := robot_from_text(text))
     if battery not in robot.batteries:
         raise InputError.unknown(f"the robot has no battery '{battery}'", battery, robot.batteries)
@@ -198,8 +197,6 @@ def write(
 
     `effects`: with the values of `fitted`; all of its effects. Gives the text and the base parameters written.
     """
-    from missionsim.inputs import edit
-
     known = models.features.parameters
     base = {name: (new.value, new.sd) for name, new in fitted.values.items() if name in known}
     updates = {known[name].path: as_fitted(known[name], value, sd) for name, (value, sd) in base.items()}

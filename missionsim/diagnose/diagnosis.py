@@ -37,6 +37,7 @@ from missionsim.identify.forward import LOGGED
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
+from missionsim.inputs.loading import load_mission, load_robot
 from missionsim.laws.proposal import REPLACED
 from missionsim.logs import describe
 from missionsim.runs.covariates import logged_name
@@ -84,13 +85,10 @@ def diagnose_files(
     missionsim.errors.InputError
         For faults in any of the files, or where no battery can be diagnosed.
     """
-    from missionsim.inputs.loading import load_robot
-
     spec = load_robot(robot)
     timeline = None
     if mission is not None:
         from missionsim.engine.simulate import simulate
-        from missionsim.inputs.loading import load_mission
 
         timeline = simulate(load_mission(mission, robot=spec)).timeline
     split = read_split(spec, logs, holdout)

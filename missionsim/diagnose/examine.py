@@ -22,6 +22,7 @@ from missionsim.identify.design import TooShortError
 from missionsim.identify.identification import Identification, identify, refutes
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import FEWEST_INTERVALS, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
+from missionsim.inputs.power import build_effect, build_power_model
 from missionsim.laws.experiment import CURVATURE
 from missionsim.laws.proposal import propose
 from missionsim.runs.run import Run
@@ -47,14 +48,10 @@ class Subject:
     @classmethod
     def of(cls, robot: RobotSpec) -> Subject:
         """The subject of a robot file."""
-        from missionsim.inputs.power import build_power_model
-
         return cls(robot, build_power_model(robot))
 
     def own(self, battery: str) -> tuple[Effect, ...]:
         """Effects of the file that are candidates only."""
-        from missionsim.inputs.power import build_effect
-
         specs = (spec for spec in self.robot.effects if spec.candidate and spec.battery == battery)
         return tuple(build_effect(spec, self.robot) for spec in specs)
 

@@ -24,6 +24,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.predictive import least_squares_clock
 from missionsim.identify.settings import Settings
+from missionsim.inputs.loading import robot_from_text
 
 MOST_ROUNDS = 8
 MOVED = 0.1
@@ -308,8 +309,6 @@ class Rounds:
 
     def settle(self, effects: Sequence[Finding], fitted: FinalFit) -> None:
         """Write the effects into the file and diagnose it."""
-        from missionsim.inputs.loading import robot_from_text
-
         given, models = self.state.given, self.state.models
         text, _ = write(given, models, effects, fitted, self.split)
         # the file's own values came from these logs: what was known before them stays the prior
@@ -339,8 +338,6 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     ask : callable
         ``(finding, diagnosis) -> bool``: whether to add it.
     """
-    from missionsim.inputs.loading import robot_from_text
-
     start = Subject.of(robot_from_text(text))
     # what was known before these logs; nothing of parameters that were fitted to them by `calibrate`
     priors = {

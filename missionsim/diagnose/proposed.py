@@ -16,6 +16,8 @@ from missionsim.fit.final import FinalFit
 from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.proposed import Law, Proposal
+from missionsim.inputs import edit
+from missionsim.inputs.loading import robot_from_text
 from missionsim.laws.grammar import unit_of
 from missionsim.runs.run import Run
 
@@ -105,9 +107,6 @@ def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
     `text`: robot file. `formula`: ``k * …`` over columns of the log; its only parameter is ``k``, whose unit follows
     from the columns. Raises InputError: for a formula that cannot be read or has no ``k``.
     """
-    from missionsim.inputs import edit
-    from missionsim.inputs.loading import robot_from_text
-
     check_formula(formula)
     held = {effect.name for effect in robot_from_text(text).effects}
     name = law_name(formula)

@@ -31,6 +31,10 @@ from missionsim.fit.parameters import (
 )
 from missionsim.glossary import column_of
 from missionsim.identify.estimates import Z95
+from missionsim.inputs import edit
+from missionsim.inputs.edit import Editing
+from missionsim.inputs.loading import load_robot, robot_from_text
+from missionsim.inputs.power import build_power_model
 from missionsim.numerals import rounded
 from missionsim.runs.drive import drive
 from missionsim.runs.error import errors_of
@@ -99,10 +103,6 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     missionsim.errors.InputError
         Where no battery can be fitted.
     """
-    from missionsim.inputs import edit
-    from missionsim.inputs.loading import load_robot, robot_from_text
-    from missionsim.inputs.power import build_power_model
-
     spec = load_robot(robot)
     model = build_power_model(spec)
     measured = list(dict.fromkeys(name for log in logs for name in log.power_w))
@@ -168,8 +168,6 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
         For a formula that cannot be read, that names columns which the logs lack, or whose parameters the logs cannot
         tell apart.
     """
-    from missionsim.inputs.edit import Editing
-
     if not any(robot.battery in log.power_w for log in logs):
         measured = sorted({name for log in logs for name in log.power_w})
         told = f"no log measures the battery '{robot.battery}'"
@@ -261,9 +259,6 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
 
 def _load(text: str) -> PowerModel:
     """The model of a robot file that we write; its faults are told at the options that they come from."""
-    from missionsim.inputs.loading import robot_from_text
-    from missionsim.inputs.power import build_power_model
-
     try:
         return build_power_model(robot_from_text(text))
     except InputError as error:

@@ -23,6 +23,7 @@ from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95
 from missionsim.identify.predictive import far_from_right
 from missionsim.identify.settings import Settings
+from missionsim.inputs.loading import robot_from_text
 from missionsim.labels import Labels
 from missionsim.numerals import counted
 from missionsim.runs.covariates import COVARIATES
@@ -125,8 +126,6 @@ def ranges_of(runs: Sequence[Run], origin: Json | None = None) -> Json:
 
 def short_of(text: str, battery: str, logs: Sequence[Run]) -> Iterator[str]:
     """In words, what the robot of a file can do less than the one that was logged."""
-    from missionsim.inputs.loading import robot_from_text
-
     spec = robot_from_text(text)
     top, held_wh = spec.body.max_speed.value, spec.batteries[battery].capacity_wh
     speeds = [np.abs(log.number("speed_m_s")) for log in logs if "speed_m_s" in log.columns]
