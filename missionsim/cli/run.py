@@ -129,7 +129,10 @@ def show(result: RunResult) -> None:
     terminal.print(segment_rows(result))
 
 
-def segment_rows(result: RunResult, most: int = 14) -> Table:
+MOST_SEGMENTS = 14
+
+
+def segment_rows(result: RunResult) -> Table:
     """Energy by segment; repetitions of a segment are added up, and of many segments the largest are shown."""
     energies = {name: result.by_segment_wh(name) for name in result.batteries}
     passed = result.places_passed()
@@ -145,10 +148,10 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
             rows.append((sum(parts), label, result.segments[members[0]].kind, driven, parts))
     shown = rows
     title = "Energy by segment [Wh]"
-    if len(rows) > most:
-        keep = {row[1] for row in sorted(rows, reverse=True)[:most]}
+    if len(rows) > MOST_SEGMENTS:
+        keep = {row[1] for row in sorted(rows, reverse=True)[:MOST_SEGMENTS]}
         shown = [row for row in rows if row[1] in keep]
-        title += f", the {most} largest of {len(rows)}"
+        title += f", the {MOST_SEGMENTS} largest of {len(rows)}"
     columns = ["segment", "kind", ">times", *(f">{name}" for name in result.batteries)]
     cells = [(label, kind, times, *(in_wh(part) for part in parts)) for _, label, kind, times, parts in shown]
     return simple_table(title, columns, cells)

@@ -285,10 +285,10 @@ class PlaceGrid(_Sums):
             found.append(PlaceCell(value, None, None, *totals, x_m=x, y_m=y, width_m=width))
         return [cell for cell in found if cell.seconds > 0.0]
 
-    def coarse_cells(self, battery: str, wanted: int = 8) -> list[PlaceCell]:
-        """Cells so wide that about `wanted` by `wanted` cover the map."""
+    def coarse_cells(self, battery: str) -> list[PlaceCell]:
+        """Cells so wide that about eight by eight cover the map."""
         side = int(np.ptp(self._cells, axis=0).max()) + 1 if len(self._cells) else 0
-        return self.cells(battery, max(1, -(-side // wanted)))
+        return self.cells(battery, max(1, -(-side // 8)))
 
 
 def _joined(cells: NDArray[np.int64], sums: Mapping[str, Array]) -> tuple[NDArray[np.int64], dict[str, Array]]:

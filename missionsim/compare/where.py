@@ -284,10 +284,10 @@ def _dependence(by: str, title: str, unit: str, bins: Sequence[Bin], fine: Seque
     return Dependence(by, title, unit, adjusted, values, tuple(fine))
 
 
-def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
-    """Sentences on the covariates that explain most; one sentence where none explains anything."""
+def in_words(found: Sequence[Dependence]) -> list[str]:
+    """Sentences on the three covariates that explain most; one sentence where none explains anything."""
     least = max(WORTH_SAYING, LESSER_SHARE * max((dependence.explained for dependence in found), default=0.0))
-    telling = [dependence for dependence in found if dependence.explained >= least][:limit]
+    telling = [dependence for dependence in found if dependence.explained >= least][:3]
     if not telling:
         return [
             f"No logged quantity goes with as much as {100.0 * WORTH_SAYING:.0f} % of the error's variance; what is "

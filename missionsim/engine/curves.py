@@ -15,16 +15,16 @@ Sample = Callable[[NDArray[np.intp], Array], Array]
 """``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
 _NODES = 16
 _ROUNDING = 1e-16
-ROOT_TOLERANCE_S = 1e-9
+ROOT_TOLERANCE_S, TOLERANCE = 1e-9, 1e-11
 
 
 def interpolants(
-    sample: Sample, index: NDArray[np.intp], length: Array, tolerance: float = 1e-11
+    sample: Sample, index: NDArray[np.intp], length: Array
 ) -> dict[int, tuple[list[float], list[list[float]]]]:
     """Piecewise Chebyshev interpolants of powers, halved until their last coefficients vanish.
 
-    `index` (shape (m,)): intervals; `length` (shape (m,)): their lengths [s]; `tolerance`: size of the last
-    coefficients relative to the first. Gives interval → (borders [s], coefficients of each piece between them; what is
+    `index` (shape (m,)): intervals; `length` (shape (m,)): their lengths [s]; their size is below `TOLERANCE` of
+    the first then. Gives interval → (borders [s], coefficients of each piece between them; what is
     rounding at their end left out).
     """
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
@@ -38,7 +38,7 @@ def interpolants(
         half = 0.5 * (high - low)
         series = sample(index, (low + half)[:, None] + half[:, None] * nodes) @ matrix * weights
         size = np.abs(series).max(axis=1)
-        bad = np.abs(series[:, -3:]).max(axis=1) > tolerance * size
+        bad = np.abs(series[:, -3:]).max(axis=1) > TOLERANCE * size
         if not halving_helps(depth, index.size, count):
             bad[:] = False
         good = np.flatnonzero(~bad)
@@ -110,11 +110,11 @@ def root(function: Callable[[float], float], low: float, high: float, at_low: fl
 
 
 def adaptive_runge_kutta(
-    slope: Callable[[float, float], float], start: float, duration: float, tolerance: float = 1e-11
+    slope: Callable[[float, float], float], start: float, duration: float
 ) -> list[tuple[float, float]]:
-    """Solution of ``dy/dt = f(t, y)`` with steps whose error is below `tolerance` each (Dormand and Prince 1980, 5(4)).
+    """Solution of ``dy/dt = f(t, y)`` with steps whose error is below `TOLERANCE` each (Dormand and Prince 1980, 5(4)).
 
-    `start`: y at t = 0; `tolerance`: absolute, for y of the order of one. Gives time and value at the beginning and
+    `start`: y at t = 0, of the order of one. Gives time and value at the beginning and
     after each accepted step.
     """
     points = [(0.0, start)]
@@ -141,9 +141,9 @@ def adaptive_runge_kutta(
         )
         if step <= 1e-12 * duration and not isfinite(error):  # the slope is no number here; the engine says whose
             return [*points, (duration, nan)]
-        if error <= tolerance or step <= 1e-12 * duration:
+        if error <= TOLERANCE or step <= 1e-12 * duration:
             t = duration if duration - t - step <= 1e-14 * duration else t + step
             y = new
             points.append((t, y))
-        step *= min(5.0, max(0.2, 0.9 * (tolerance / error) ** 0.2)) if error > 0.0 else 5.0
+        step *= min(5.0, max(0.2, 0.9 * (TOLERANCE / error) ** 0.2)) if error > 0.0 else 5.0
     return points

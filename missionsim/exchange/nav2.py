@@ -61,7 +61,7 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]]) -> dict[st
         if all(abs(latitude) <= 90 and abs(longitude) <= 360 for latitude, longitude in points):
             plane = site.plane(points)
     for (properties, _), position in zip(nodes, positions, strict=True):
-        number = _id(properties, "id")
+        number = _id(properties)
         if number is None or position is None:
             names.setdefault(str(properties.fields.get("id")), "")
             continue
@@ -89,8 +89,8 @@ def _position(geometry: Value) -> tuple[float, ...] | None:
     return None if None in numbers else tuple(number for number in numbers if number is not None)
 
 
-def _id(properties: Value, key: str) -> str | None:
-    found = properties.need(key)
+def _id(properties: Value) -> str | None:
+    found = properties.need("id")
     if found is None:
         return None
     if type(found.data) not in (int, str) or (type(found.data) is int and found.data < 0):
@@ -100,7 +100,7 @@ def _id(properties: Value, key: str) -> str | None:
 
 
 def _edge(edge: Value, site: Site, names: dict[str, str]) -> None:
-    number = _id(edge, "id")
+    number = _id(edge)
     start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startid", "endid"))
     if number is None or not start or not end:
         return

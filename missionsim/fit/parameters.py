@@ -284,15 +284,13 @@ class ModelFit:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a formula without a value is told, not warned of
-def fit_parameters(
-    model: PowerModel, logs: Sequence[Run], battery: str, *, free: bool = False, settings: Settings | None = None
-) -> ModelFit:
+def fit_parameters(model: PowerModel, logs: Sequence[Run], battery: str, *, free: bool = False) -> ModelFit:
     """Fit every parameter of one battery's model to logs; see `missionsim.fit.final.final_fit`.
 
     `model`: start values, units, priors; `free`: ignore the priors, for a model whose values are only start values.
     Raises InputError: where the model needs a column that the logs lack, or no log measures the battery.
     """
-    settings = settings or Settings()
+    settings = Settings()
     ready = prepare(model, logs, battery)
     logs = [run.run for run in ready.runs]
     if all(float(np.ptp(log.power_w[battery])) == 0.0 for log in logs):

@@ -22,6 +22,8 @@ from missionsim.planner.solve import solve_site
 AMPLE_WH = 1e5
 ENOUGH = 1.0 + 1e-8
 """What would do is told by so much more, lest rounding takes it away again."""
+POINTS = 9
+"""Of the front of energy against time."""
 
 
 def explain(site: Site) -> Json:
@@ -286,7 +288,7 @@ def _site(task: TaskSpec, **choices: Any) -> Site:
     return make_site(task.model_copy(update={"choose": task.choose.model_copy(update=choices)}))
 
 
-def pareto(site: Site, points: int = 9) -> list[Answer]:
+def pareto(site: Site) -> list[Answer]:
     """The front of energy against time: the least energy within deadlines from the fastest plan's to no matter what."""
     seconds = _time(site)
     energy = site.weights * (1.0 - seconds)
@@ -297,7 +299,7 @@ def pareto(site: Site, points: int = 9) -> list[Answer]:
     if not fastest.feasible or not cheapest.feasible:
         return []
     found: list[Answer] = []
-    for deadline in np.linspace(fastest.duration_s, cheapest.duration_s, max(2, points)):
+    for deadline in np.linspace(fastest.duration_s, cheapest.duration_s, POINTS):
         made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)))
         if made.feasible and (not found or made.duration_s > found[-1].duration_s * (1 + 1e-9)):
             found.append(made)

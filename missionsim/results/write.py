@@ -142,11 +142,11 @@ def edges_table(result: RunResult) -> dict[str, Sequence[object]]:
     return table
 
 
-def largest_consumers(result: RunResult, count: int = 3) -> list[tuple[str, str, float, float]]:
-    """The largest consumers of all batteries: battery, component, energy [Wh] and share of all energy."""
+def largest_consumers(result: RunResult) -> list[tuple[str, str, float, float]]:
+    """The three largest consumers of all batteries: battery, component, energy [Wh] and share of all energy."""
     rows = [(battery, *row) for battery in result.batteries for row in result.by_component_wh(battery).items()]
     total = sum(battery.energy_wh for battery in result.batteries.values())
-    largest = sorted(rows, key=lambda row: -row[2])[:count]
+    largest = sorted(rows, key=lambda row: -row[2])[:3]
     return [(b, c, energy, energy / total if total else 0.0) for b, c, energy in largest]
 
 

@@ -164,15 +164,15 @@ class Bounded:
         return [coarser(run) for run in runs], f"{self.rows:,} rows were averaged to {STEP_S:g} s"
 
 
-def coarser(run: Run, step_s: float = STEP_S) -> Run:
-    """A run in rows of about `step_s`, each the mean of its rows, weighted by time; texts are those of its middle.
+def coarser(run: Run) -> Run:
+    """A run in rows of about `STEP_S`, each the mean of its rows, weighted by time; texts are those of its middle.
 
     Rows that are longer already stay, and so does a run whose meter is slower than its rows, for the readings say when
     they were made.
     """
-    if run.rows < 2 or float(np.median(run.dt_s)) > 0.5 * step_s or any(f is not None for f in run.fresh.values()):
+    if run.rows < 2 or float(np.median(run.dt_s)) > 0.5 * STEP_S or any(f is not None for f in run.fresh.values()):
         return run
-    number = np.floor((run.time_s - run.time_s[0]) / step_s + 1e-6)
+    number = np.floor((run.time_s - run.time_s[0]) / STEP_S + 1e-6)
     begin = np.flatnonzero(np.diff(number, prepend=-1.0))
     middle = (begin + np.append(begin[1:], run.rows)) // 2
 
