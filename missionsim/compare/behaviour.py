@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,15 +35,12 @@ class Stages:
 
     model: PowerModel
     timeline: Timeline
-    batteries: Sequence[str]
+    battery: str
 
-    def energy(self, members: NDArray[np.bool_]) -> dict[str, float]:
-        """Energy of each battery in the intervals `members` [J]."""
-        energies = integrate(self.model, self.timeline)
-        return {
-            battery: float(sum(float(joules[members].sum()) for joules in energies[battery].values()))
-            for battery in self.batteries
-        }
+    def energy(self, members: NDArray[np.bool_]) -> float:
+        """Energy of the battery in the intervals `members` [J]."""
+        energies = integrate(self.model, self.timeline)[self.battery]
+        return float(sum(float(joules[members].sum()) for joules in energies.values()))
 
     def stretched(self, members: NDArray[np.bool_], way_m: float) -> Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
@@ -77,7 +75,7 @@ class Stages:
         faster = replace(self, timeline=replace(self.timeline, columns=columns, rates=rates))
         return faster._lasting(1.0 / factor, stretch_rates=False)
 
-    def standing_for(self, members: NDArray[np.bool_], seconds: float) -> dict[str, float]:
+    def standing_for(self, members: NDArray[np.bool_], seconds: float) -> float:
         """Energy with `seconds` at rest, at the power of the planned rest or, without one, of driving at speed zero."""
         standing = members & self._standing()
         planned = float(self.timeline.duration_s[standing].sum())
@@ -91,7 +89,7 @@ class Stages:
         known = self.timeline.columns
         columns = {**known, **{name: zero for name, zero in still.items() if name in known}}
         at_rest = replace(self, timeline=replace(self.timeline, columns=columns, rates={})).energy(members)
-        return {name: energy[name] + at_rest[name] * seconds / float(duration.sum()) for name in self.batteries}
+        return energy + at_rest * seconds / float(duration.sum())
 
     def _lasting(self, factor: Array, stretch_rates: bool = True) -> Stages:
         line = self.timeline
@@ -142,8 +140,8 @@ class SchemeGap:
     planned_s: float
     driven_s: float
     """These: distance and time."""
-    wh: Mapping[str, Mapping[str, float]]
-    """Energy of each of `PARTS` [Wh]. Mapping of battery to mapping of part to float."""
+    wh: Mapping[str, float]
+    """Energy of each of `PARTS` [Wh]."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +163,7 @@ class MissionGap:
 
     def part_wh(self, part: str) -> float:
         """Energy of one of `PARTS` over all schemes [Wh]."""
-        return sum(scheme.wh[self.battery][part] for scheme in self.schemes)
+        return sum(scheme.wh[part] for scheme in self.schemes)
 
     @property
     def words(self) -> list[str]:
@@ -190,18 +188,16 @@ class MissionGap:
             "energy_simulated_wh": self.energy_simulated_wh,
             "runs": self.runs,
             "behaviour_wh": {part: self.part_wh(part) for part in PARTS},
-            "by_scheme": [
-                fields_of(one, " ".join(OF_SCHEME)) | {"wh": dict(one.wh[self.battery])} for one in self.schemes
-            ],
+            "by_scheme": [fields_of(one, " ".join(OF_SCHEME)) | {"wh": dict(one.wh)} for one in self.schemes],
             "error_statistics": self.error_statistics.to_json(),
             "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
         }
 
 
 def split_behaviour(
-    model: PowerModel, timeline: Timeline, driven: Sequence[Mapping[str, motion.Motion]], batteries: Sequence[str]
+    model: PowerModel, timeline: Timeline, driven: Sequence[Mapping[str, motion.Motion]], battery: str
 ) -> tuple[SchemeGap, ...]:
-    """Split replayed minus simulated energy of several runs of one mission.
+    """Split replayed minus simulated energy of one battery over several runs of one mission.
 
     `timeline`: the simulated mission. `driven`: one a run, with the energy of the model that it drove; logs without
     schemes have one entry under ``""``, which is held against the whole plan. The parts of all schemes add up to
@@ -211,7 +207,7 @@ def split_behaviour(
     nameless = set(names) == {""}
     codes, schemes = motion.scheme_codes(timeline.columns, len(timeline), ignore=nameless)
     plan = motion.planned(timeline, by_scheme=not nameless)
-    stages = Stages(model, timeline, batteries)
+    stages = Stages(model, timeline, battery)
     count, gaps = len(driven), []
     for name in dict.fromkeys([*plan, *names]):
         members = codes == schemes.index(name) if name in plan else np.zeros(len(timeline), dtype=bool)
@@ -223,10 +219,7 @@ def split_behaviour(
         tracked = stretched.at_speed(members, ratio(done.distance_m, done.driving_s))
         steps = [stage.energy(members) for stage in (stages, stretched, tracked)]
         steps.append(tracked.standing_for(members, done.standing_s / count))
-        wh: dict[str, dict[str, float]] = {}
-        for battery in batteries:
-            at = [count * step[battery] for step in steps] + [done.energy_j.get(battery, 0.0)]
-            wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
+        at = [*(count * joules for joules in steps), done.energy_j.get(battery, 0.0)]
         drives = wanted.distance_m > 0.0
         gaps.append(
             SchemeGap(
@@ -238,7 +231,7 @@ def split_behaviour(
                 driven_m=done.distance_m,
                 planned_s=count * wanted.seconds,
                 driven_s=done.seconds,
-                wh=wh,
+                wh={part: (after - before) / 3600.0 for part, (before, after) in zip(PARTS, pairwise(at), strict=True)},
             )
         )
     return tuple(gaps)

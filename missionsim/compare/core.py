@@ -285,7 +285,7 @@ def _mission(
     battery: str, sums: Accumulator, model: PowerModel, mission: RunResult, found: dict[str, RunSums]
 ) -> MissionGap:
     driven, plan = [sums.motion[run] for run in found], mission.timeline
-    schemes = split_behaviour(model, plan, driven, [battery])
+    schemes = split_behaviour(model, plan, driven, battery)
     simulated = sum(integrate(model, plan)[battery].values(), start=np.zeros(len(plan)))
     grid, axis = progress_grid(), sums.axes.get("segment")
     names = axis.names if isinstance(axis, LabelAxis) else ()

@@ -84,8 +84,7 @@ def _print_battery(one: BatteryComparison, console: Console) -> None:
         for scheme in one.mission.schemes:
             ratios = (scheme.path_stretch, scheme.speed_tracking)
             row = [scheme.scheme or "–", *("–" if ratio is None else f"{ratio:.3f}" for ratio in ratios)]
-            wh = scheme.wh[one.battery]
-            rows.append([*row, f"{scheme.dwell_s:+.0f}", *(signed(wh[part], 4) for part in PARTS)])
+            rows.append([*row, f"{scheme.dwell_s:+.0f}", *(signed(scheme.wh[part], 4) for part in PARTS)])
         columns = ["scheme", ">way ×", ">speed ×", ">dwell s", ">way Wh", ">speed Wh", ">stand Wh", ">rest Wh"]
         console.print(simple_table("Behaviour against the plan", columns, rows))
     if len(one.runs) > 1:
@@ -137,7 +136,7 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     }
     if comparison.mission:
         rows: list[Sequence[object]] = [
-            (b.battery, *attrgetter(*OF_SCHEME)(scheme), *(scheme.wh[b.battery][part] for part in PARTS))
+            (b.battery, *attrgetter(*OF_SCHEME)(scheme), *(scheme.wh[part] for part in PARTS))
             for b in batteries
             for scheme in (b.mission.schemes if b.mission is not None else ())
         ]

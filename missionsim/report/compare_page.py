@@ -269,7 +269,7 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
     rows = [
         [
             *(s.scheme or "–", s.path_stretch, s.speed_tracking, s.dwell_s, s.planned_m, s.driven_m),
-            *(signed(s.wh[one.battery][part], 4) for part in PARTS),
+            *(signed(s.wh[part], 4) for part in PARTS),
         ]
         for s in mission.schemes
     ]

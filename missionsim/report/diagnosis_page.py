@@ -30,7 +30,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", asked: Asked | Non
     return web.page(
         f"{diagnosis.robot}: which effect is missing",
         diagnosis_sections(diagnosis, asked),
-        subtitle=f"{runs} runs fitted",
+        subtitle=f"{counted(runs, 'run')} fitted",
         footer=footer,
     )
 

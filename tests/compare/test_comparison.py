@@ -201,30 +201,30 @@ def test_a_longer_way_is_path_stretch_alone() -> None:
     extra_m, plan = 10.0, cruise_plan()
     done = {"a": done_(50.5 + extra_m, 102.0 + extra_m / 0.5, 0.0, 20.0), "b": done_(15.0, 50.0)}
     base = split_behaviour(
-        friction_model(), plan, [{"a": done_(50.5, 102.0, 0.0, 20.0), "b": done_(15.0, 50.0)}], ["robot"]
+        friction_model(), plan, [{"a": done_(50.5, 102.0, 0.0, 20.0), "b": done_(15.0, 50.0)}], "robot"
     )
-    found = split_behaviour(friction_model(), plan, [done], ["robot"])
+    found = split_behaviour(friction_model(), plan, [done], "robot")
     assert found[0].path_stretch == pytest.approx((50.5 + extra_m) / 50.5)
-    assert found[0].wh["robot"]["path_stretch"] == pytest.approx(steady(0.5) * extra_m / 0.5 / 3600, rel=1e-9)
-    assert base[0].wh["robot"]["path_stretch"] == pytest.approx(0.0, abs=1e-12)
-    assert base[1].wh["robot"]["speed_tracking"] == pytest.approx(0.0, abs=1e-12)
+    assert found[0].wh["path_stretch"] == pytest.approx(steady(0.5) * extra_m / 0.5 / 3600, rel=1e-9)
+    assert base[0].wh["path_stretch"] == pytest.approx(0.0, abs=1e-12)
+    assert base[1].wh["speed_tracking"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_slower_robot_is_speed_tracking() -> None:
-    found = split_behaviour(friction_model(), cruise_plan(), [{"b": done_(15.0, 60.0)}], ["robot"])
+    found = split_behaviour(friction_model(), cruise_plan(), [{"b": done_(15.0, 60.0)}], "robot")
     scheme = next(one for one in found if one.scheme == "b")
     assert scheme.speed_tracking == pytest.approx(50.0 / 60.0)
     expected = steady(0.25) * 60.0 - steady(0.3) * 50.0
-    assert scheme.wh["robot"]["speed_tracking"] == pytest.approx(expected / 3600, rel=1e-9)
-    assert scheme.wh["robot"]["path_stretch"] == pytest.approx(0.0, abs=1e-12)
+    assert scheme.wh["speed_tracking"] == pytest.approx(expected / 3600, rel=1e-9)
+    assert scheme.wh["path_stretch"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_waiting_is_dwell_also_where_no_rest_was_planned() -> None:
     done = {"a": done_(50.5, 102.0, 0.0, 50.0), "b": done_(15.0, 50.0, 0.0, 12.0)}
-    found = split_behaviour(friction_model(), cruise_plan(), [done], ["robot"])
+    found = split_behaviour(friction_model(), cruise_plan(), [done], "robot")
     assert [one.dwell_s for one in found] == [30.0, 12.0]
-    assert found[0].wh["robot"]["dwell"] == pytest.approx(30.0 * 2.67 / 3600, rel=1e-9)
-    assert found[1].wh["robot"]["dwell"] == pytest.approx(12.0 * 2.67 / 3600, rel=1e-9)
+    assert found[0].wh["dwell"] == pytest.approx(30.0 * 2.67 / 3600, rel=1e-9)
+    assert found[1].wh["dwell"] == pytest.approx(12.0 * 2.67 / 3600, rel=1e-9)
 
 
 @given(
@@ -242,12 +242,12 @@ def test_parts_always_add_up_exactly(driven: dict[str, tuple[float, ...]], runs:
         for name, (speed, driving, turning, standing, energy) in driven.items()
     }
     plan = cruise_plan()
-    schemes = split_behaviour(friction_model(), plan, [done, *[{}] * (runs - 1)], ["robot"])
+    schemes = split_behaviour(friction_model(), plan, [done, *[{}] * (runs - 1)], "robot")
     simulated = steady(0.3) * 50.0 + steady(0.5) * 100.0 + 20.0 * 2.67
     # both ramps: the mean of v² is a third of its end value, that of v a half
     simulated += 2.0 * (6.25 * 0.25 / 3.0 + 9.79 * 0.25 + 3.66)
     replayed = sum(one.energy_j["robot"] for one in done.values())
-    total = sum(one.wh["robot"][part] for one in schemes for part in PARTS)
+    total = sum(one.wh[part] for one in schemes for part in PARTS)
     assert 3600 * total == pytest.approx(replayed - runs * simulated, rel=1e-9, abs=1e-6)
 
 
