@@ -17,7 +17,7 @@ from missionsim.effects.covariates import Covariates
 from missionsim.effects.library import FLOORS, all_effects, execution_effects, floors_effect, logged_power_columns
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
-from missionsim.fit.prepare import never_on, prepare
+from missionsim.fit.prepare import acting, never_on, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import (
     SLOW_ROWS_S,
@@ -318,7 +318,7 @@ def _with_twin(
     """Mark an effect that a shift of base parameters would imitate exactly; its sign is then free."""
     if candidate.effect.partition(":")[0] not in _TWIN_FAMILIES or len(candidate.columns) != 1:
         return candidate
-    names = [name for name in gradients[0] if any(np.any(g[name]) for g in gradients)]
+    names = list(gradients[0])
     y = np.concatenate([c[candidate.columns[0]] for c in columns])
     own = f"{candidate.effect.partition(':')[2]}."
     # a component that was never switched looks like the base: each effect is first held against its own kind
@@ -334,7 +334,7 @@ def _with_twin(
 
 def _shares_of(y: Array, names: Sequence[str], gradients: Sequence[Mapping[str, Array]]) -> dict[str, float]:
     """Relative changes of base parameters that together imitate a column exactly; none where nothing does."""
-    names = [name for name in names if any(np.any(own[name]) for own in gradients)]
+    names = [name for name in acting(gradients) if name in names]
     if not names or not np.any(y):
         return {}
     x = np.column_stack([np.concatenate([own[name] for own in gradients]) for name in names])

@@ -12,6 +12,7 @@ from missionsim.effects.covariates import Covariates
 from missionsim.files import Json
 from missionsim.labels import Labels
 from missionsim.laws.experiment import CURVATURE
+from missionsim.runs.covariates import is_switch
 from missionsim.runs.motion import approach
 
 STEP_S = 0.5
@@ -49,8 +50,8 @@ class Part:
         data: dict[str, Any] = {"seconds": self.seconds, "speeds_m_s": list(self.speeds_m_s)}
         data |= {"yaw_rate_rad_s": max(yaw), "yaw_rates_rad_s": list(yaw)} if yaw else {"yaw_rate_rad_s": 0.0}
         data |= {"stops": self.stops} | ({} if self.slope_rad is None else {"slope_rad": self.slope_rad})
-        data |= {name: value for name, value in self.set.items() if not name.startswith("on_")}
-        on = {name[3:]: value for name, value in self.set.items() if name.startswith("on_")}
+        data |= {name: value for name, value in self.set.items() if not is_switch(name)}
+        on = {name[3:]: value for name, value in self.set.items() if is_switch(name)}
         return data | ({"on": on} if on else {})
 
 
@@ -134,9 +135,8 @@ def site_of(covariates: Sequence[Covariates], most: Mapping[str, float]) -> Site
             low[name], high[name] = (float(x) for x in np.percentile(joined, [0.5, 99.5]))
     fastest = min(most.get("speed_m_s", np.inf), 1.1 * high.get("speed_m_s", np.inf))
     spin = min(most.get("yaw_rate_rad_s", 1.0), max(1.2 * high.get("yaw_rate_rad_s", 1.0), 0.2))
-    switched = [name for name in high if name.startswith("on_") and not name.startswith("on_time")]
     ramp = USUAL_RAMP * min(high.get("accel_m_s2", 0.0), -low.get("accel_m_s2", 0.0))
-    components = {name[3:]: max(1, round(high[name])) for name in switched}
+    components = {name[3:]: max(1, round(high[name])) for name in filter(is_switch, high)}
     return Site(
         usual,
         low,

@@ -13,6 +13,7 @@ from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels as Labels
 from missionsim.physics import Array
 from missionsim.physics import Value as Value
+from missionsim.runs.covariates import clock_of, is_switch
 
 Truth = bool | NDArray[np.bool_]
 """Yes or no, or an array of them."""
@@ -93,9 +94,8 @@ def derive(columns: Covariates, time_s: Array, dt_s: Array) -> Columns:
             starts = np.concatenate([[False], moving[1:] & ~moving[:-1]])
             cov["starts"] = starts.astype(float)
             cov["starts_per_s"] = starts / np.maximum(dt_s, 1e-9)
-    for name in [name for name in columns if name.startswith("on_") and not name.startswith("on_time_")]:
-        clock = f"on_time_{name[3:]}_s"
-        if clock not in cov:
+    for name in filter(is_switch, columns):
+        if (clock := clock_of(name)) not in cov:
             cov[clock] = elapsed(np.asarray(cov[name], dtype=float) > 0.0, dt_s, reset=True)
     return cov
 

@@ -36,6 +36,7 @@ from missionsim.inputs.edit import Editing
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.numerals import rounded
+from missionsim.runs.covariates import is_switch
 from missionsim.runs.drive import drive
 from missionsim.runs.error import errors_of
 from missionsim.runs.run import Run
@@ -274,8 +275,7 @@ def _load(text: str) -> PowerModel:
 def _components(logs: Sequence[Run], remarks: list[str]) -> dict[str, int]:
     """Components with a switch in the logs that was used: name and most units."""
     found: dict[str, int] = {}
-    names = sorted({name for log in logs for name in log.columns if name.startswith("on_")})
-    for column in names:
+    for column in sorted({name for log in logs for name in filter(is_switch, log.columns)}):
         values = np.concatenate([np.asarray(log.columns[column], dtype=float) for log in logs if column in log.columns])
         values = values[np.isfinite(values)]
         if len(np.unique(values)) > 1:

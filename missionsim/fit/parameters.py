@@ -16,8 +16,8 @@ from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.files import Json
-from missionsim.fit.final import Value, final_fit
-from missionsim.fit.prepare import Prepared, prepare
+from missionsim.fit.final import FREE_SD, Value, final_fit
+from missionsim.fit.prepare import Prepared, acting, prepare
 from missionsim.identify.align import Clock
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95
@@ -137,8 +137,6 @@ def short_of(text: str, battery: str, logs: Sequence[Run]) -> Iterator[str]:
         yield f"the capacity, {held_wh:.3g} Wh, is less than the {most_wh:.3g} Wh that one of the runs took"
 
 
-FREE_SD = 100.0
-"""Relative prior standard deviation that leaves a parameter to the data."""
 LARGEST_W = 1e30
 """Powers from here on are no numbers to compute with: their squares must still be finite."""
 LEAST_USABLE = 0.5
@@ -188,7 +186,7 @@ def _square(ready: Prepared) -> float:
 
 def told_apart(ready: Prepared) -> frozenset[str]:
     """Parameters whose influence no combination of the others can imitate."""
-    names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
+    names = acting(ready.gradients)
     if not names:
         return frozenset()
     x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
@@ -201,7 +199,7 @@ def told_apart(ready: Prepared) -> frozenset[str]:
 
 def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
     """Ordinary least squares on the gradient, from the start values; rows count by the time that they stand for."""
-    names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
+    names = acting(ready.gradients)
     weight = np.concatenate([np.sqrt(run.dt_s) for run in ready.runs])
     y = ready.measured_w() - np.concatenate(ready.base_w)
     x = np.array([np.concatenate([g[name] for g in ready.gradients]) for name in names]).reshape(len(names), len(y)).T

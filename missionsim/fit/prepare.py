@@ -24,6 +24,11 @@ FAINT_LOAD = 0.01
 """Part of the mean power below which it does not matter when a component was on."""
 
 
+def acting(gradients: Sequence[Mapping[str, Array]]) -> list[str]:
+    """Parameters on which the power of some row depends, of the gradient of each run."""
+    return [name for name in gradients[0] if any(np.any(own[name]) for own in gradients)]
+
+
 @dataclass(frozen=True)
 class Prepared:
     """Runs of one battery, with the base model evaluated."""

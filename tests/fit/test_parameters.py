@@ -51,6 +51,18 @@ def test_the_meter_that_was_found_is_written_so_that_the_error_told_is_that_of_t
     assert 1.0 - (error / spread) ** 2 == pytest.approx(fit.explained, abs=0.002)
 
 
+def test_how_long_a_component_has_been_on_is_no_component() -> None:
+    """A log may hold the clock of a switch beside it."""
+    logs = [drive(seed, seconds=200.0) for seed in range(4)]
+    clocks = [np.cumsum(log.number("on_kinect")) for log in logs]
+    timed = [
+        replace(log, columns={**log.columns, "on_time_kinect_s": clock})
+        for log, clock in zip(logs, clocks, strict=True)
+    ]
+    made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4"), timed)
+    assert {*robot_from_text(made.text).components} == {"kinect"}
+
+
 def test_without_noise_the_answer_is_exact() -> None:
     quiet = [drive(seed, seconds=300.0, noise=0.0) for seed in range(3)]
     fit = calibrate_new(NewRobot("rover", "c2*v**2 + c3*v + c4"), quiet).fit
