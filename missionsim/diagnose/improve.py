@@ -17,7 +17,7 @@ from missionsim.diagnose.leftover import fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, law_name, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
-from missionsim.diagnose.waterfall import Step, best_before, clearly_better, noise_floor, worse_note
+from missionsim.diagnose.waterfall import Step, best_before, by_chance, clearly_better, noise_floor, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.align import Clock
@@ -111,7 +111,8 @@ class Improved:
         """
         before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
         # on the runs that it is fitted to, a base fitted anew is always better
-        off = self.heldout or any(one.beyond for one in self.last.recalibration)
+        _, most_pct = by_chance(self.steps[-1].energy_error_pct, len(self.first.runs))
+        off = self.heldout or before.energy_error_pct > most_pct
         far = base_note(before, recalibrated) if off and not self.added else ""
         if not (self.worse or far):
             return "", ""

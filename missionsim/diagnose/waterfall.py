@@ -61,6 +61,14 @@ def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
     return 100.0 * spread * math.sqrt(2.0 / math.pi), rmse_w
 
 
+def by_chance(floor_pct: float, count: int) -> tuple[float, float]:
+    """Least and greatest energy error, as the mean over so many runs, of a true model whose mean over many is
+    `floor_pct` [%]."""
+    # the mean m of n absolute normal errors has the standard deviation m sqrt(pi/2 - 1) / sqrt(n)
+    half = 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count)
+    return floor_pct * max(0.0, 1.0 - half), floor_pct * (1.0 + half)
+
+
 def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int, fitted: int) -> str:
     """In words, why an energy error grew with an effect although the power error fell; empty where it did not.
 
@@ -71,8 +79,7 @@ def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int
     energy_pct = after.energy_error_pct
     if energy_pct <= before.energy_error_pct + SEEN * floor_pct or after.power_rmse_w >= before.power_rmse_w:
         return ""
-    # the mean m of n absolute normal errors has the standard deviation m sqrt(pi/2 - 1) / sqrt(n)
-    chance = floor_pct * math.sqrt(1.0 + 1.0 / fitted) * (1.0 + 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count))
+    chance = math.sqrt(1.0 + 1.0 / fitted) * by_chance(floor_pct, count)[1]
     level = floor_pct * math.sqrt(math.pi / 2.0)
     told = "this may be chance" if energy_pct <= chance else "this is more than that"
     return (
@@ -203,8 +210,7 @@ def _floor_note(done: Improved) -> str:
         )
     if floor.energy_error_pct > last.energy_error_pct:
         count = len((done.first.heldout or done.first).runs)
-        half = 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count)  # as in `rise_note`
-        low, high = (floor.energy_error_pct * max(0.0, 1.0 + side * half) for side in (-1.0, 1.0))
+        low, high = by_chance(floor.energy_error_pct, count)
         told += (
             f" The noise floor of the energy is the mean of many runs: over {counted(count, 'run')} a true "
             f"model shows {low:.2f} to {high:.2f} %, so that one may well lie below it."

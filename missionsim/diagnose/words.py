@@ -14,6 +14,7 @@ from missionsim.effects.library import get_effect
 from missionsim.errors import InputError
 from missionsim.identify.findings import AT_BOUND, BatteryDiagnosis, Estimate, Experiment, Finding, HeldOut
 from missionsim.identify.proposed import Proposal, plain
+from missionsim.identify.settings import Settings
 from missionsim.numerals import bare, counted, meter_clock, p_told, rounded, watts
 
 NOTHING_LEFT = "nothing is left above the detection limits"
@@ -113,7 +114,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         (False, "recalibrated, no discovery"),
         (True, "further off than its sd allows, and no effect takes its place; check file and logs"),
     ):
-        own = [s for s in shifts if s.beyond == beyond]
+        own = [s for s in shifts if (abs(s.shift_in_prior_sd) > Settings.recalibration_limit) == beyond]
         shifted = [(s.parameter, f"{s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)") for s in own]
         told = [f"{name} {by.replace('-', '−')}" for name, by in shifted]
         lines += [("BASE", f"{said}: {', '.join(told)}")] if told else []

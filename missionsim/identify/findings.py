@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.files import Json
 from missionsim.identify.proposed import Proposal, Record
-from missionsim.identify.settings import Settings
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -183,11 +182,6 @@ class Recalibrated:
     def shift_pct(self) -> float:
         """The shift in per cent."""
         return 100.0 * self.shift
-
-    @property
-    def beyond(self) -> bool:
-        """Whether it is more than what is known of the parameter allows."""
-        return abs(self.shift_in_prior_sd) > Settings.recalibration_limit
 
     def to_json(self) -> Json:
         """The contract's fields, and the new value with its standard deviation."""

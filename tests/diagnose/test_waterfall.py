@@ -228,9 +228,10 @@ def test_a_base_that_is_off_is_told_with_the_command_that_fits_it() -> None:
     assert replace(improved(1.0), added=(), steps=near).advice("my.yaml", ["train"]) == ("", "")
     # on the runs that it is fitted to, a base fitted anew is always better
     fitted = replace(improved(1.0), added=(), steps=bars, heldout=False)
-    assert fitted.advice("my.yaml", ["train"]) == ("", "")
-    shift = replace(BATTERY.recalibration[0], shift_in_prior_sd=-12.7)
-    assert replace(fitted, last=replace(BATTERY, recalibration=(shift,))).advice("my.yaml", ["train"])[1] == command
+    assert fitted.advice("my.yaml", ["train"])[1] == command
+    steps = (Step("before", 1.1, 7.8), *bars[1:])
+    assert replace(fitted, steps=steps).advice("my.yaml", ["train"]) == ("", "")
+    assert replace(fitted, steps=steps, heldout=True).advice("my.yaml", ["train"])[1] == command
 
 
 def test_a_model_beside_which_something_remains_is_not_good() -> None:
