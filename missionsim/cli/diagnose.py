@@ -164,7 +164,8 @@ def improve(
     if not done:
         raise next(iter(skipped.values()))
     write_text(out, for_folder(text, out.parent))
-    advice = {one.battery: one.advice(search.robot, logs, search.given) for one in done}
+    asked = sentences.Asked(search.robot, logs, search.given)
+    advice = {one.battery: one.advice(asked, len(done) > 1) for one in done}
     found = {"schema": "missionsim.improvement/1", "robot_file": str(out), "holdout": split.how}
     left = {name: " ".join(str(error).split()) for name, error in skipped.items()}
     to.emit({**found, "batteries": {d.battery: d.to_json() for d in done}, "skipped": left, "left_out": split.left_out})

@@ -6,7 +6,6 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from pathlib import Path
 
 from missionsim.diagnose import words
 from missionsim.diagnose.adopt import write
@@ -15,7 +14,7 @@ from missionsim.diagnose.examine import NO_PRIOR_SD, Examined, Subject, examine,
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import fed_note, straight_note
 from missionsim.diagnose.proposed import as_finding, law_name, with_candidate, with_law
-from missionsim.diagnose.sentences import base_note
+from missionsim.diagnose.sentences import Asked, base_note
 from missionsim.diagnose.split import Split, lacking
 from missionsim.diagnose.waterfall import Step, best_before, by_chance, clearly_better, noise_floor, worse_note
 from missionsim.files import Json
@@ -103,11 +102,11 @@ class Improved:
         """In words, that the file predicts these runs worse; empty where it does not, or where nothing was added."""
         return worse_note(self.steps[:-1], self.added, self.heldout) if self.added else ""
 
-    def advice(self, robot: str, logs: Sequence[str | Path], options: str = "") -> tuple[str, str]:
-        """What predicts these runs better than the file that was made, in words, and the command for it.
+    def advice(self, asked: Asked, several: bool = False) -> tuple[str, str]:
+        """What predicts these runs better than the file that was made, in words, and the command for it; `several`:
+        whether there are more batteries.
 
-        `options`: of the command that this came of, such as ``--holdout later``. Both empty where nothing is better;
-        the command alone where the file as it was given is.
+        Both empty where nothing is better; the command alone where the file as it was given is.
         """
         before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
         # on the runs that it is fitted to, a base fitted anew is always better
@@ -126,18 +125,15 @@ class Improved:
             return "The robot file as it was predicts these runs best: leave it as it is.", ""
         if self.base_alone and far:
             return f"No effect was added. {far} The file that is written has that base.", ""
-        given = f"--robot {shlex.quote(robot)} {' '.join(shlex.quote(str(log)) for log in logs)}"
-        out = f"--out {shlex.quote(Path(robot).stem + '_better.yaml')}"
-        calibrate = f"missionsim calibrate {given} {out}"
         if far:
-            return f"Nothing was added; the file is as it was. {far}", calibrate
+            return f"Nothing was added; the file is as it was. {far}", asked.refit(self.battery, several)
         if best == 1:
             told = "The same file with its base fitted anew and nothing added predicts these runs better."
-            return told, calibrate
+            return told, asked.refit(self.battery, several)
         late = self.added[best - 1 :]
-        without = " ".join(f"--without {shlex.quote(name)}" for name in late)
+        without = (f"--without {shlex.quote(name)}" for name in late)
         told = f"The file without {' and '.join(late)} predicts these runs better."
-        return told, " ".join(f"missionsim improve {given} {options} --yes {without} {out}".split())
+        return told, asked.typed("improve", asked.options, "--yes", *without)
 
 
 @dataclass(frozen=True)

@@ -245,28 +245,34 @@ class Asked(NamedTuple):
     options: str = ""
     """Those that are not as by default, such as ``--holdout later``."""
 
+    def typed(self, command: str, *words: str) -> str:
+        """The line of a command for the same robot and logs; it writes another robot file."""
+        files, out = (shlex.quote(str(log)) for log in self.logs), shlex.quote(f"{Path(self.robot).stem}_better.yaml")
+        return " ".join(
+            filter(None, ("missionsim", command, "--robot", shlex.quote(self.robot), *words, *files, "--out", out))
+        )
+
+    def refit(self, battery: str, several: bool) -> str:
+        """The line that fits the base of one battery anew, of `several` or where it was asked for alone."""
+        return self.typed("calibrate", f"--battery {battery}" * (several or "--battery" in self.options))
+
 
 def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) -> str:
     """The command to type next; empty where there is nothing to add or to fit anew."""
     told = battery.clear
     law = next(iter(battery.proposed_laws), None)
-    robot, options = shlex.quote(asked.robot), asked.options
-    if several and "--battery" not in options:
-        options = f"--battery {battery.battery} {options}"
+    options = f"--battery {battery.battery}" * (several and "--battery" not in asked.options), asked.options
     if worse(battery):
         return ""
     if told and len(told) + (law is not None and not law.open) > 1:  # one alone leaves the others' power to the base
-        command = f"improve --robot {robot} {options}"
-    elif told:
-        command = f"add-effect --robot {robot} --effect {shlex.quote(told[0].effect)} {options}"
-    elif not battery.effects and law is not None and not law.open:
-        command = f'add-effect --robot {robot} --formula "{law.first.formula}" {options}'
-    elif battery.effects or law is not None or not errors(battery):
+        return asked.typed("improve", *options)
+    if told:
+        return asked.typed("add-effect", "--effect", shlex.quote(told[0].effect), *options)
+    if not battery.effects and law is not None and not law.open:
+        return asked.typed("add-effect", f'--formula "{law.first.formula}"', *options)
+    if battery.effects or law is not None or not errors(battery):
         return ""
-    else:
-        command = f"calibrate --robot {robot}" + f" --battery {battery.battery}" * several
-    files = " ".join(shlex.quote(str(log)) for log in asked.logs)
-    return f"missionsim {command.strip()} {files} --out {shlex.quote(Path(asked.robot).stem + '_better.yaml')}"
+    return asked.refit(battery.battery, several)
 
 
 def _listed(parts: Sequence[str]) -> str:

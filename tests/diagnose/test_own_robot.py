@@ -16,7 +16,7 @@ from missionsim.diagnose.adopt import adopt
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.improve import improve
-from missionsim.diagnose.sentences import sure
+from missionsim.diagnose.sentences import Asked, sure
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import measured_note
 from missionsim.effects.library import get_effect
@@ -385,7 +385,7 @@ def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_
         assert done.added == ()
         assert done.base_alone is bool(held)
         assert (robot_from_text(done.text).motion.parameters["c3"].value == 7.4) is not bool(held)
-        told, command = done.advice("my.yaml", ["train"])
+        told, command = done.advice(Asked("my.yaml", ["train"]))
         assert ("The file that is written has that base" in told) is bool(held)
         assert ("calibrate" in command) is not bool(held)
 

@@ -129,7 +129,7 @@ def test_runs_that_got_worse_are_told_first() -> None:
     assert done.worse
     page = unescape(improve_page("r", [done]))
     assert page.index(done.worse) < page.index("Added: grade")
-    told, command = done.advice("r.yaml", ["train"])
+    told, command = done.advice(sentences.Asked("r.yaml", ["train"]))
     assert told.startswith("For the power at each moment the new file is better, for the energy of a run the file with")
     assert command == ""
 
@@ -176,17 +176,17 @@ def test_a_step_that_makes_held_out_runs_worse_is_told_first_with_what_to_type()
     bars = (Step("before", 11.4, 43.0), Step("recalibrated", 4.0, 32.8), Step("+ grade", 5.3, 25.1))
     rising = replace(improved(1.0), added=("grade", "law_x"), steps=(*bars, Step("+ law_x", 3.3, 32.5), bars[0]))
     assert "law_x raises the power error from 25.1 to 32.5 W" in rising.worse  # below the recalibrated 32.8 W
-    told, command = rising.advice("my robot.yaml", ["train"], "--holdout held")
+    told, command = rising.advice(sentences.Asked("my robot.yaml", ["train"], "--holdout held"))
     assert "without law_x" in told
-    assert "--robot 'my robot.yaml' train --holdout held --yes --without law_x --out" in command
+    assert "--robot 'my robot.yaml' --holdout held --yes --without law_x train --out" in command
     page = unescape(improve_page("r", [rising], advice={"robot": (told, command)}))
     assert page.index(rising.worse) < page.index("Added: grade, law_x")
     assert command in page
     first = replace(rising, added=("grade",), steps=(*bars[:2], Step("+ grade", 3.3, 34.0), bars[0]))
-    assert first.advice("r.yaml", ["train"])[1].startswith("missionsim calibrate --robot r.yaml train")
+    assert first.advice(sentences.Asked("r.yaml", ["train"]))[1].startswith("missionsim calibrate --robot r.yaml train")
     falling = replace(rising, steps=(*bars[:2], Step("+ grade", 3.3, 34.0), Step("+ law_x", 3.3, 20.0), bars[0]))
     assert falling.worse == ""  # a step that the next one makes good
-    assert falling.advice("r.yaml", ["train"]) == ("", "")
+    assert falling.advice(sentences.Asked("r.yaml", ["train"])) == ("", "")
 
 
 def test_an_error_that_only_recalibration_lowers_is_said_so() -> None:
@@ -217,21 +217,31 @@ def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> Non
 
 def test_a_base_that_is_off_is_told_with_the_command_that_fits_it() -> None:
     bars = (Step("before", 68.22, 111.0), Step("recalibrated", 0.86, 7.18), Step("noise floor", 0.9, 7.2))
-    told, command = replace(improved(1.0), added=(), steps=bars).advice("my.yaml", ["train"], "--holdout held")
+    told, command = replace(improved(1.0), added=(), steps=bars).advice(
+        sentences.Asked("my.yaml", ["train"], "--holdout held")
+    )
     assert "from 68.22 to 0.86 %" in told
     assert command == "missionsim calibrate --robot my.yaml train --out my_better.yaml"
     energy, rmse = ({"nominal": a, "recalibrated": b, "with_effects": b} for a, b in ((68.22, 0.86), (111.0, 7.18)))
     quiet = replace(BATTERY, effects=(), verdict="nothing_missing", heldout=HeldOut("the last", ("e",), energy, rmse))
     assert "from 68.22 to 0.86 %" in sentences.errors(quiet)
     assert sentences.next_step(quiet, sentences.Asked("my.yaml", ["train"])) == command
+    # one battery of several is fitted alone, by both commands
+    for asked, several in (
+        (sentences.Asked("my.yaml", ["train"]), True),
+        (sentences.Asked("my.yaml", ["train"], "--battery robot"), False),
+    ):
+        alone = command.replace("my.yaml ", "my.yaml --battery robot ", 1)
+        assert sentences.next_step(quiet, asked, several) == alone
+        assert replace(improved(1.0), added=(), steps=bars).advice(asked, several)[1] == alone
     near = (Step("before", 0.9, 7.2), *bars[1:])
-    assert replace(improved(1.0), added=(), steps=near).advice("my.yaml", ["train"]) == ("", "")
+    assert replace(improved(1.0), added=(), steps=near).advice(sentences.Asked("my.yaml", ["train"])) == ("", "")
     # on the runs that it is fitted to, a base fitted anew is always better
     fitted = replace(improved(1.0), added=(), steps=bars, heldout=False)
-    assert fitted.advice("my.yaml", ["train"])[1] == command
+    assert fitted.advice(sentences.Asked("my.yaml", ["train"]))[1] == command
     steps = (Step("before", 1.1, 7.8), *bars[1:])
-    assert replace(fitted, steps=steps).advice("my.yaml", ["train"]) == ("", "")
-    assert replace(fitted, steps=steps, heldout=True).advice("my.yaml", ["train"])[1] == command
+    assert replace(fitted, steps=steps).advice(sentences.Asked("my.yaml", ["train"])) == ("", "")
+    assert replace(fitted, steps=steps, heldout=True).advice(sentences.Asked("my.yaml", ["train"]))[1] == command
 
 
 def test_a_model_beside_which_something_remains_is_not_good() -> None:
