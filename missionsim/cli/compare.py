@@ -152,11 +152,12 @@ def calibrate(
     write_text(out, made.text)
     to.emit(calibration_json(made, robot_file=str(out)))
     if to.text:
-        _print(made.fits, made.remarks, out)
+        _print(made.fits, made.remarks)
+    to.written(out)
     return 1 if made.left_out else 0
 
 
-def _print(fits: Sequence[ModelFit], remarks: Sequence[str], out: Path) -> None:
+def _print(fits: Sequence[ModelFit], remarks: Sequence[str]) -> None:
     terminal = console()
     for fit in fits:
         rows = []
@@ -175,4 +176,3 @@ def _print(fits: Sequence[ModelFit], remarks: Sequence[str], out: Path) -> None:
         )
     for remark in remarks:
         terminal.print(remark if remark.startswith(("note: ", "warning: ")) else f"note: {remark}")
-    terminal.print(f"written: {out}")

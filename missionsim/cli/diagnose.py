@@ -56,8 +56,7 @@ def diagnose(
         show(result, asked)
         for line in result.remarks:
             console().print(line)
-        if report is not None:
-            console().print(f"report written: {report}")
+    to.written(report)
     return 1 if result.left_out or any(worse(one) for one in result.batteries.values()) else 0
 
 
@@ -177,9 +176,7 @@ def improve(
         print(visible(f"warning: --without {name}: nothing of that name was about to be added"), file=sys.stderr)
     if to.text:
         _print(done, advice, skipped)
-        console().print(f"written: {out}")
-        if report is not None:
-            console().print(f"report written: {report}")
+    to.written(out, report)
     return 1 if split.left_out or any(one.worse for one in done) else 0
 
 
@@ -294,5 +291,5 @@ def add_effect(
             terminal.print(f"meter: {meter_clock(delay_s, lag_s)}; compare shows the model so")
         if made.heldout is not None:
             terminal.print("held out: " + heldout_line(made.heldout))
-        terminal.print(f"written: {out}")
+    to.written(out)
     return 1 if made.worse or split.left_out else 0

@@ -70,11 +70,10 @@ def nav2(
     with atomic_write(out) as temporary:
         temporary.write_bytes(found.raw)
     to.emit({"schema": "missionsim.graph_costs/1", "graph": str(graph), "robot": spec.name, "edges": found.edges})
-    if to.text:
-        costs = [edge["cost"] for edge in found.edges]
-        spread = f", cost {min(costs):.4g} to {max(costs):.4g}" if costs else ""
-        unit = f"Wh + {time_weight:g} Wh/s" if time_weight else "Wh"
-        _tell(f"{graph}: {len(costs)} edges{spread} ({unit})", found.remarks, out)
+    costs = [edge["cost"] for edge in found.edges]
+    spread = f", cost {min(costs):.4g} to {max(costs):.4g}" if costs else ""
+    unit = f"Wh + {time_weight:g} Wh/s" if time_weight else "Wh"
+    _tell(to, f"{graph}: {counted(len(costs), 'edge')}{spread} ({unit})", found.remarks, out)
     return 0
 
 
@@ -112,7 +111,7 @@ def rmf(config: Path, /, *logs: Path, robot: str, out: OutFile, battery: str = "
         if found.errors:
             rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", rounded(e["power_rmse_w"])) for e in found.errors]
             show_table("On the logs", ["formula", ">energy error", ">power RMSE W"], rows)
-        _tell("", found.remarks, out)
+    _tell(to, "", found.remarks, out)
     return 0
 
 
@@ -184,8 +183,7 @@ def qgc(
 def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, to: Output) -> int:
     write_text(out, to_json(data))
     to.emit({"schema": "missionsim.export/1", "out": str(out), "told": list(remarks)})
-    if to.text:
-        _tell(title, remarks, out)
+    _tell(to, title, remarks, out)
     return 0
 
 
@@ -199,11 +197,10 @@ def _within(*options: tuple[str, float | None, float, float]) -> None:
         raise InputError(faults)
 
 
-def _tell(title: str, remarks: Iterable[object], *written: Path | None) -> None:
-    terminal = console()
-    lines = (title, *(f"  {remark}" for remark in remarks), *(f"written: {path}" for path in written if path))
-    for line in filter(None, lines):
-        terminal.print(line, soft_wrap=True)
+def _tell(to: Output, title: str, remarks: Iterable[object], *written: Path | None) -> None:
+    for line in filter(None, (title, *(f"  {remark}" for remark in remarks))) if to.text else ():
+        console().print(line, soft_wrap=True)
+    to.written(*written)
 
 
 def import_site(
@@ -263,16 +260,15 @@ def import_site(
     if out is not None:
         write_site(site, out, mission, driver or "")
     to.emit({**site.summary(), "out": out, "mission": mission})
-    if to.text:
-        one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
-        ways = f"{counted(len(site.edges), 'way')} ({one_way} one-way, {site.length_m:.1f} m)"
-        parts = [counted(len(site.places), "place"), ways]
-        if site.chargers:
-            named = f"{', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)}"
-            parts.append(f"{counted(len(site.chargers), 'charger')} ({named})")
-        if site.segments:
-            parts.append(f"a mission of {counted(len(site.segments), 'segment')}")
-        _tell(f"{site.file}: {site.format}, {', '.join(parts)}", site.remarks.values(), out, mission)
+    one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
+    ways = f"{counted(len(site.edges), 'way')} ({one_way} one-way, {site.length_m:.1f} m)"
+    parts = [counted(len(site.places), "place"), ways]
+    if site.chargers:
+        named = f"{', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)}"
+        parts.append(f"{counted(len(site.chargers), 'charger')} ({named})")
+    if site.segments:
+        parts.append(f"a mission of {counted(len(site.segments), 'segment')}")
+    _tell(to, f"{site.file}: {site.format}, {', '.join(parts)}", site.remarks.values(), out, mission)
     return 0
 
 
@@ -303,9 +299,8 @@ def import_robot(
     found = {"numbers": fleet.numbers, "limits": fleet.limits, "robots": fleet.robots}
     told = list(map(vars, fleet.remarks.values()))
     to.emit({"schema": "missionsim.fleet/1", "source": str(config), "robot": name, **found, "told": told, "out": out})
-    if to.text:
-        n = fleet.numbers
-        line = f"{n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction {n['friction']:g}"
-        line += f", ambient {n['ambient']:g} W, tool {n['tool']:g} W"
-        _tell(f"{config}: Open-RMF fleet {fleet.name}, {line}", fleet.remarks.values(), out)
+    n = fleet.numbers
+    line = f"{n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction {n['friction']:g}"
+    line += f", ambient {n['ambient']:g} W, tool {n['tool']:g} W"
+    _tell(to, f"{config}: Open-RMF fleet {fleet.name}, {line}", fleet.remarks.values(), out)
     return 0

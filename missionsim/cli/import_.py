@@ -128,7 +128,7 @@ def _told(
         for line in describe(logs, notes=True):
             terminal.print(line)
         where = targets[0] if len(targets) == 1 else targets[0].parent
-        terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""))
+        terminal.print(f"Written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""))
     for fault in left_out if to.json != "-" else []:
         print(fault, file=sys.stderr)
     if left_out and to.text:
@@ -209,7 +209,7 @@ def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: O
     elif to.text:
         for name, guess in found.columns.items():
             print(visible(f"{name:22} {guess.sure:8} {guess.why}"))
-        print(visible(f"written: {out}"))
+        to.written(out)
     for line in found.missing:
         print(visible(line), file=sys.stderr)
     return 1 if found.missing else 0
