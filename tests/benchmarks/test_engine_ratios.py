@@ -113,6 +113,7 @@ def test_charger_visits_cost_the_same_each() -> None:
     assert growth <= 1.1
 
 
+@pytest.mark.long
 def test_segments_and_their_tables_cost_the_same_each(tmp_path: Path) -> None:
     missions = {times: rounds(times, False) for times in (125, 1000)}
 

@@ -41,6 +41,7 @@ def test_csv_beside_pandas(tmp_path: Path, in_turns: InTurns) -> None:
     assert mine / other <= MOST_CSV
 
 
+@pytest.mark.long
 @pytest.mark.benchmark_ratio
 @pytest.mark.parametrize("kind", ONE_QUICK)
 def test_bag_beside_its_reader(tmp_path: Path, kind: str, in_turns: InTurns) -> None:

@@ -59,6 +59,7 @@ def least(work: Callable[[], object], times: int) -> float:
     return min(spent)
 
 
+@pytest.mark.long
 def test_arrays_beside_the_same_by_hand(patrol: Prepared, in_turns: InTurns) -> None:
     """Ours draws by name, keeps 104 columns a run and checks itself; what is by hand does this one mission alone."""
     arrays = patrol.arrays

@@ -314,6 +314,7 @@ def test_a_clock_shift_that_looks_like_inertia_is_said(shared: Path) -> None:
     assert "aligns the clocks" in one.words[-1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "by"),
     [

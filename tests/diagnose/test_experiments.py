@@ -234,6 +234,7 @@ def recorded(path: Path, rng: np.random.Generator, speed: np.ndarray, kg: np.nda
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.usefixtures("effects_alone")
 def test_the_drive_that_is_proposed_resolves_what_it_promises_to(tmp_path: Path, seed: int) -> None:
     """Loads were carried on the carpet alone; the drive goes as its parts say, and the verdict names what it costs."""
     rng = np.random.default_rng(seed)

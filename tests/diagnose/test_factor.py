@@ -25,8 +25,9 @@ def scaled(log: LogTable, factor: float) -> LogTable:
     return drawing(log, factor * log.power_w["robot"])
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_one_factor_on_everything_names_no_effect() -> None:
-    logs = [scaled(drive(seed, seconds=240.0), 1.5) for seed in range(4)]
+    logs = [scaled(drive(seed, seconds=160.0), 1.5) for seed in range(4)]
     found = diagnose(Subject.of(load_robot(ROBOT)), logs, holdout="none").batteries["robot"]
     assert found.verdict == "unexplained_structure"
     assert found.effects == ()
@@ -65,7 +66,7 @@ def without_priors(source: Source) -> Source:
 
 
 def test_a_level_is_told_only_where_the_plain_energies_differ() -> None:
-    logs = tuple(scaled(drive(seed, seconds=240.0), 3.0) for seed in range(2))
+    logs = tuple(scaled(drive(seed, seconds=160.0), 3.0) for seed in range(2))
     seen = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings())
     found, empty = seen.found.choice.model, seen.found.choice.empty
     level = level_difference(empty)

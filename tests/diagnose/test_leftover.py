@@ -95,6 +95,7 @@ def braking(log: LogTable, less_w: float) -> LogTable:
     return drawing(log, log.power_w["robot"] - less_w * falls)
 
 
+@pytest.mark.usefixtures("effects_alone")
 def test_a_diagnosis_does_not_call_it_nothing() -> None:
     logs = [braking(drive(seed, seconds=300.0, step_s=0.5), 4.0) for seed in range(4)]
     diagnosis = diagnose(Subject.of(load_robot(ROBOT)), logs, holdout="none")

@@ -212,7 +212,10 @@ def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
 
 
 @pytest.mark.usefixtures("effects_alone")
-@pytest.mark.parametrize(("runs", "newtons", "named"), [(1, 60.0, False), (3, 60.0, True), (6, 20.0, True)])
+@pytest.mark.parametrize(
+    ("runs", "newtons", "named"),
+    [(1, 60.0, False), (3, 60.0, True), pytest.param(6, 20.0, True, marks=pytest.mark.long)],
+)
 def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
     runs: int, newtons: float, named: bool
 ) -> None:
@@ -229,7 +232,8 @@ def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
 
 
 @pytest.mark.usefixtures("effects_alone")
-def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
+@pytest.mark.parametrize(("mass", "doubted"), [("9 kg", True), pytest.param("500 kg", False, marks=pytest.mark.long)])
+def test_what_is_seventy_times_its_inertia_is_doubted(mass: str, doubted: bool) -> None:
     logs = []
     for seed in range(4):
         log = drive(seed, seconds=240.0)
@@ -237,13 +241,12 @@ def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
         power = log.power_w[BATTERY] + 630.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
         logs.append(drawing(log, power))
     split = Split(tuple(logs), (), "")
-    for mass, doubted in (("9 kg", True), ("500 kg", False)):
-        made = calibrate_new(NewRobot("own", BASE, mass=mass), logs)
-        found = diagnose_battery(Subject.of(robot_from_text(made.text)), split, BATTERY, Settings())
-        assert [effect.effect for effect in found.effects] == ["acceleration"]
-        told = sure(found)
-        assert ("either that mass is wrong or something else acts" in told) is doubted
-        assert told.startswith("Sure") is not doubted
+    made = calibrate_new(NewRobot("own", BASE, mass=mass), logs)
+    found = diagnose_battery(Subject.of(robot_from_text(made.text)), split, BATTERY, Settings())
+    assert [effect.effect for effect in found.effects] == ["acceleration"]
+    told = sure(found)
+    assert ("either that mass is wrong or something else acts" in told) is doubted
+    assert told.startswith("Sure") is not doubted
 
 
 @pytest.mark.long
@@ -346,18 +349,18 @@ def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.usefixtures("effects_alone")
-def test_held_out_runs_without_the_column_of_what_was_added_do_not_test_it() -> None:
+@pytest.mark.parametrize("tested", [True, pytest.param(False, marks=pytest.mark.long)])
+def test_held_out_runs_without_the_column_of_what_was_added_do_not_test_it(tested: bool) -> None:
     logs = [with_payload(drive(seed, seconds=150.0), 2.0 * (seed % 2)) for seed in range(6)]
     blind = replace(logs[4], columns={n: x for n, x in logs[4].columns.items() if n != "payload_kg"})
-    for held, tested in (((logs[5], blind), True), ((blind,), False)):
-        split = Split(tuple(logs[:4]), held, "the last")
-        done = improve(robot_text("pioneer3dx"), split, BATTERY, Settings(), lambda *_: True)
-        assert done.added == ("payload",)
-        assert done.untested == {blind.run: ["payload_kg"]}
-        assert done.heldout is tested
-        assert done.worse == ""
-        assert "no payload_kg; not tested on it" in measured_note(done)
-        assert "the fitted runs do not show" not in done.stopped
+    split = Split(tuple(logs[:4]), (logs[5], blind) if tested else (blind,), "the last")
+    done = improve(robot_text("pioneer3dx"), split, BATTERY, Settings(), lambda *_: True)
+    assert done.added == ("payload",)
+    assert done.untested == {blind.run: ["payload_kg"]}
+    assert done.heldout is tested
+    assert done.worse == ""
+    assert "no payload_kg; not tested on it" in measured_note(done)
+    assert "the fitted runs do not show" not in done.stopped
 
 
 def test_one_run_repeats_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -375,19 +378,19 @@ def test_one_run_repeats_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("effects_alone")
-def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_so() -> None:
-    logs = [drive(seed, seconds=300.0) for seed in range(5)]
+@pytest.mark.parametrize("held", [1, 0])
+def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_so(held: int) -> None:
+    logs = [drive(seed, seconds=200.0) for seed in range(4)]
     text = robot_text("pioneer3dx").replace("{value: 9.79,", "{value: 7.4,")
     assert text != robot_text("pioneer3dx")
-    for held in (1, 0):
-        split = Split(tuple(logs[: 5 - held]), tuple(logs[5 - held :]), "the last")
-        done = improve(text, split, BATTERY, Settings(), lambda *_: False)
-        assert done.added == ()
-        assert done.base_alone is bool(held)
-        assert (robot_from_text(done.text).motion.parameters["c3"].value == 7.4) is not bool(held)
-        told, command = done.advice(Asked("my.yaml", ["train"]))
-        assert ("The file that is written has that base" in told) is bool(held)
-        assert ("calibrate" in command) is not bool(held)
+    split = Split(tuple(logs[: 4 - held]), tuple(logs[4 - held :]), "the last")
+    done = improve(text, split, BATTERY, Settings(), lambda *_: False)
+    assert done.added == ()
+    assert done.base_alone is bool(held)
+    assert (robot_from_text(done.text).motion.parameters["c3"].value == 7.4) is not bool(held)
+    told, command = done.advice(Asked("my.yaml", ["train"]))
+    assert ("The file that is written has that base" in told) is bool(held)
+    assert ("calibrate" in command) is not bool(held)
 
 
 @pytest.mark.long

@@ -23,6 +23,7 @@ def test_the_right_name_first_and_the_heldout_error_falls(shared: Path) -> None:
     assert found.heldout.power_rmse_w["with_effects"] < 0.8 * found.heldout.power_rmse_w["nominal"]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 @pytest.mark.parametrize("case", ["a", pytest.param("b", marks=pytest.mark.study)])
 def test_confounded_names_both_and_proposes_to_vary_one(shared: Path, case: str) -> None:

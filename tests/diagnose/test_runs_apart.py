@@ -146,7 +146,10 @@ def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     assert found.steps[-2].energy_error_pct < 0.2 * found.steps[1].energy_error_pct
 
 
-@pytest.mark.parametrize(("newtons", "gain", "names"), [((0.0, 2.0, 1.0, 3.0, 0.5), 0.0, 2), ((0.0,) * 5, 0.06, 1)])
+@pytest.mark.parametrize(
+    ("newtons", "gain", "names"),
+    [((0.0, 2.0, 1.0, 3.0, 0.5), 0.0, 2), pytest.param((0.0,) * 5, 0.06, 1, marks=pytest.mark.long)],
+)
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_floors_are_compared_beside_the_base_as_it_is_with_what_was_found(
     newtons: Sequence[float], gain: float, names: int, seed: int
@@ -179,7 +182,7 @@ def test_floors_that_cost_less_than_the_base_knows_take_no_dear_one_with_them() 
     assert floor.indistinguishable_from == ()
 
 
-@pytest.mark.parametrize("floors", [3, 6])
+@pytest.mark.parametrize("floors", [pytest.param(3, marks=pytest.mark.long), 6])
 def test_where_each_floor_was_driven_once_floor_and_run_are_one(floors: int) -> None:
     logs = []
     for i in range(6):

@@ -181,8 +181,9 @@ def check(seed: int, count: int) -> None:
         assert found == pytest.approx(energies, rel=1e-9), number
 
 
-def test_random_missions() -> None:
-    check(14, 40)
+@pytest.mark.parametrize("count", [15, pytest.param(40, marks=pytest.mark.long)])
+def test_random_missions(count: int) -> None:
+    check(14, count)
 
 
 @pytest.mark.study

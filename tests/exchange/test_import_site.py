@@ -151,6 +151,7 @@ def test_graphs_of_networkx(tmp_path: Path) -> None:
     assert lab.places["bench"].charger is not None
 
 
+@pytest.mark.long
 def test_every_shared_site_is_read_or_refused_with_a_line(shared: Path, tmp_path: Path) -> None:
     folder = shared / "sites"
     if not folder.is_dir():

@@ -65,6 +65,7 @@ def test_nothing_hidden_names_nothing(robot):
 FIVE = ["grade", *study("surface_rolling_resistance", "acceleration", "cpu_load")]
 
 
+@pytest.mark.long
 @EFFECTS
 @pytest.mark.parametrize("effect", FIVE)
 def test_five_percent_of_the_energy_is_found_and_the_heldout_error_falls_as_far_as_it_can(effect):
@@ -153,7 +154,7 @@ def test_what_no_library_holds_is_not_named(what):
 
 
 @EFFECTS
-@pytest.mark.parametrize("variant", ["two-runs", pytest.param("energy", marks=pytest.mark.long)])
+@pytest.mark.parametrize("variant", ["energy", "two-runs"])
 def test_other_meters_and_few_runs(variant):
     result = told(f"turning_scrub-5pct-{variant}")
     assert result["first_right"], result

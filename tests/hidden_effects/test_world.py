@@ -55,12 +55,14 @@ def test_same_seed_same_bits_and_other_seed_other_world():
     assert not np.array_equal(first.train["run_00"]["power_robot_w"][:50], other.train["run_00"]["power_robot_w"][:50])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["nothing-pioneer3dx-level2", "turning_scrub-2pct", "two-grade-payload"])
 def test_oracle_names_what_was_planted_and_nothing_else(name):
     world = make(ALL_CASES[name], 7, candidates=True)
     assert set(known.named(world).names) == set(world.case.hidden)
 
 
+@pytest.mark.long
 def test_covariance_of_the_oracle_is_that_of_the_noise():
     world = make(ALL_CASES["nothing-pioneer3dx-level2"], 7, candidates=True)
     white = []
@@ -70,6 +72,7 @@ def test_covariance_of_the_oracle_is_that_of_the_noise():
     assert np.std(np.concatenate(white)) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["nothing-energy", "nothing-voltage-current", "nothing-10hz", "cpu_frequency-5pct"])
 def test_logs_have_the_columns_of_the_contract(name, tmp_path):
     folder = write(make(ALL_CASES[name], 2), tmp_path)
@@ -92,6 +95,7 @@ def test_logs_have_the_columns_of_the_contract(name, tmp_path):
     assert answer["hidden"] == list(ALL_CASES[name].hidden)
 
 
+@pytest.mark.long
 def test_nothing_hidden_is_the_base_model_within_its_prior():
     """The recalibrated base explains a level-1 world down to its noise: no effect lurks in 'nothing'."""
     for robot in ROBOTS:
@@ -103,6 +107,7 @@ def test_nothing_hidden_is_the_base_model_within_its_prior():
         assert np.sqrt(np.mean((y - x @ fit) ** 2)) < 1e-9 * np.mean(y)
 
 
+@pytest.mark.long
 def test_confounded_designs_are_confounded_and_their_heldout_runs_are_not():
     world = make(ALL_CASES["confounded-carpet_payload-payload"], 4)
 
@@ -170,6 +175,7 @@ def test_peers_find_a_loud_effect_and_trees_beat_the_nominal_model():
     assert rows["LASSO, by run"]["oracle_rmse_w"] < rows["LASSO, by run"]["nominal_rmse_w"]
 
 
+@pytest.mark.long
 def test_knowing_the_truth_leaves_the_meter_alone():
     """With the true columns what remains is the meter's own noise, gain and offset."""
     world = make(replace(ALL_CASES["grade-10pct"], noise_level=1), 1)

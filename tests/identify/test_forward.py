@@ -386,7 +386,8 @@ def floors_of(rng: np.random.Generator, dear: tuple[float, ...]) -> LeastSquares
     return LeastSquares(np.array([f @ f.T for f in folds]), np.full(17, 300.0), np.array([1.0]), np.arange(17))
 
 
-def test_floors_of_a_few_runs_each_are_dealt_out_among_the_runs_anew() -> None:
+@pytest.mark.parametrize("many", [8, pytest.param(40, marks=pytest.mark.long)])
+def test_floors_of_a_few_runs_each_are_dealt_out_among_the_runs_anew(many: int) -> None:
     """Where the Wald test of five levels with the jackknife covariance of 17 runs has no power."""
     columns = [
         *(Column(0, level, f"{level}", 1.0) for level in range(5)),
@@ -401,8 +402,8 @@ def test_floors_of_a_few_runs_each_are_dealt_out_among_the_runs_anew() -> None:
         return _Search(squares, layout, effects, Settings()).measured(0, range(5), ()).accepted
 
     # in these, p is 0.01 to 0.1 by the Wald test; of the last three, dealt levels predict as well at 0.01 to 0.05
-    assert all(found(seed, (0.0, 0.0, 0.0, 0.0, 2.5)) for seed in (4, 18, 29, 31, 39, 5, 15, 24))
-    assert sum(found(seed, (0.0,) * 5) for seed in range(40)) <= 2
+    assert all(found(seed, (0.0, 0.0, 0.0, 0.0, 2.5)) for seed in (4, 18, 39, 5, 24, 29, 31, 15)[: many // 2])
+    assert sum(found(seed, (0.0,) * 5) for seed in range(many)) <= many / 20
 
 
 @pytest.mark.parametrize(("heavy", "found"), [(1.5, {0, 1}), (0.0, set())])

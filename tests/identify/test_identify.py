@@ -103,12 +103,12 @@ def test_small_shift_of_a_base_parameter_is_recalibration():
 
 def test_payload_only_on_carpet_names_both():
     hidden = _strength("payload", 0.05)
-    found = identify(make_runs(8, hidden, count=8, payload_only_on_carpet=True), library(), {})
+    found = identify(make_runs(8, hidden, count=4, payload_only_on_carpet=True), library(), {})
     assert found.verdict == "ambiguous"
     first = found.effects[0]
     assert {"payload", "surface_rolling_resistance"} <= {first.effect, *first.indistinguishable_from}
     assert first.separation_nats < 1.0
-    apart = make_runs(8, hidden, count=8)
+    apart = make_runs(8, hidden, count=4)
     assert identify(apart, library(), {}).effects[0].separation_nats > first.separation_nats + 5.0
 
 
@@ -123,7 +123,7 @@ def test_periodic_load_is_structure_not_an_effect():
 
 
 def test_dead_zone_is_not_called_scrub():
-    found = identify(make_runs(6, dead_zone_w=25.0, count=8), library(), {})
+    found = identify(make_runs(6, dead_zone_w=25.0, count=5), library(), {})
     assert found.verdict == "unexplained_structure"
     assert "turning_scrub" not in _names(found)
     assert "yaw_rate_rad_s" in found.unexplained.depends_on
@@ -230,7 +230,9 @@ def loaded(rng: np.random.Generator, name: str, idle: bool, watts: float) -> Run
     return RunData(name, np.arange(300) + 0.5, ones, measured, 7.5 * ones, {"c4": 7.5 * ones}, columns, dict(columns))
 
 
-@pytest.mark.parametrize(("watts", "names"), [(1.6, ["cpu_load"]), (0.5, ["cpu_load"]), (0.0, [])])
+@pytest.mark.parametrize(
+    ("watts", "names"), [(1.6, ["cpu_load"]), pytest.param(0.5, ["cpu_load"], marks=pytest.mark.long), (0.0, [])]
+)
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: list[str]) -> None:
     """Within runs its coefficient is a fraction, and offsets of the runs would take the rest."""

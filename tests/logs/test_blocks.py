@@ -104,19 +104,19 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     def peak(n: int) -> int:
         path = tmp_path / f"{n}.parquet"
         writer = None
-        for start in range(0, n, 50_000):
-            columns = {name: pa.array(data) for name, data in motion(50_000, 0.05, start).items()}
-            columns["time_s"] = pa.array(0.05 * (np.arange(start, start + 50_000) + 0.5))
+        for start in range(0, n, 20_000):
+            columns = {name: pa.array(data) for name, data in motion(20_000, 0.05, start).items()}
+            columns["time_s"] = pa.array(0.05 * (np.arange(start, start + 20_000) + 0.5))
             table = pa.table(columns)
             writer = writer or parquet.ParquetWriter(path, table.schema)
             writer.write_table(table)
         assert writer is not None
         writer.close()
         tracemalloc.start()
-        rows = sum(block.rows for block in iter_blocks(path, rows=50_000))
+        rows = sum(block.rows for block in iter_blocks(path, rows=20_000))
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert rows == n
         return most
 
-    assert peak(800_000) < 1.2 * peak(200_000)
+    assert peak(240_000) < 1.2 * peak(80_000)

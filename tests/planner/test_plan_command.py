@@ -209,14 +209,16 @@ def test_a_plan_charges_along_the_taper_that_the_run_has(root: Path, tmp_path: P
         assert battery["charge_left_wh"] == pytest.approx(run["batteries"][name]["charge_left_wh"], rel=1e-9)
 
 
-def test_value_counts_in_a_given_order_and_what_is_left_out_is_as_little_as_can_be(root: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("order", ["given", pytest.param("any", marks=pytest.mark.long)])
+def test_value_counts_in_a_given_order_and_what_is_left_out_is_as_little_as_can_be(
+    root: Path, tmp_path: Path, order: str
+) -> None:
     visits = "visits=[{place: pump, value: 2}, {place: mast, value: 1}, {place: shed, wait: 10 s}]"
-    for order in ("given", "any"):
-        found = plan(root, tmp_path, visits, f"order={order}")
-        assert sorted(found["order"]) == ["mast", "pump", "shed"]
-        tight = plan(root, tmp_path, visits, f"order={order}", "within.deadline=312 s")
-        assert sorted(tight["order"]) == ["pump", "shed"]
-        assert tight["gap"] == 0.0
+    found = plan(root, tmp_path, visits, f"order={order}")
+    assert sorted(found["order"]) == ["mast", "pump", "shed"]
+    tight = plan(root, tmp_path, visits, f"order={order}", "within.deadline=312 s")
+    assert sorted(tight["order"]) == ["pump", "shed"]
+    assert tight["gap"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -280,7 +282,9 @@ def test_what_the_search_leaves_out_is_in_the_numbers(root: Path, tmp_path: Path
     ("change", "told", "would_do"),
     [
         ("visits.1.window={until: 1 min}", "within the windows", "visits.1.window.until"),
-        ("repeat={rounds: 3, until: 5 min}", "not even one round", "within.deadline"),
+        pytest.param(
+            "repeat={rounds: 3, until: 5 min}", "not even one round", "within.deadline", marks=pytest.mark.long
+        ),
     ],
 )
 def test_what_would_do_where_a_window_or_a_shift_is_too_short(

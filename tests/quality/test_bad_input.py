@@ -227,8 +227,10 @@ def test_results_keep_links_and_devices(tmp_path: Path) -> None:
     ("term", "more"),
     [
         ("xterm", []),
-        (None, ["--json", "-"]),
-        *(pytest.param(*both, marks=pytest.mark.long) for both in (("xterm", ["--json", "-"]), (None, []))),
+        *(
+            pytest.param(*both, marks=pytest.mark.long)
+            for both in (("xterm", ["--json", "-"]), (None, []), (None, ["--json", "-"]))
+        ),
     ],
 )
 def test_a_full_standard_output_is_called_so(

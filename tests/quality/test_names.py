@@ -95,8 +95,11 @@ COMMANDS = {
 }
 
 
+@pytest.mark.usefixtures("effects_alone")
 @pytest.mark.filterwarnings("error:Glyph")
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(o, marks=pytest.mark.long) if o in ("run", "compare") else o for o in COMMANDS]
+)
 def test_names_are_shown_as_they_are(
     name: str, mission: Path, log: Path, site: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

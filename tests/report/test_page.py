@@ -84,6 +84,7 @@ def test_a_run_that_was_left_out_stands_beside_the_result(comparison: Comparison
     assert html.index("in none of these numbers") < html.index("ice_11: 0.319 times") < html.rindex("What was assumed")
 
 
+@pytest.mark.long
 def test_many_long_runs_still_make_a_small_page() -> None:
     logs = []
     for i in range(60):

@@ -131,7 +131,7 @@ def test_all_agree_on_what_a_log_may_lack(tmp_path: Path) -> None:
         "{effect: cpu_load, battery: robot, parameters: {k: {value: 3, sd: 0.3}}}]\n"
     )
     (tmp_path / "hilly.yaml").write_text(robot, encoding="utf-8")
-    skid_logs(tmp_path / "logs", 4, 200)
+    skid_logs(tmp_path / "logs", 3, 120)
     arguments = ("--robot", tmp_path / "hilly.yaml", tmp_path / "logs", "--quiet")
     assert run("compare", *arguments) == 0
     assert run("diagnose", *arguments) == 0
@@ -142,7 +142,7 @@ def test_all_agree_on_what_a_log_may_lack(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("effects_alone")
 def test_one_log_of_a_few_rows_among_good_ones(tmp_path: Path) -> None:
     (tmp_path / "skid.yaml").write_text(BASE, encoding="utf-8")
-    skid_logs(tmp_path / "logs", 5, 200)
+    skid_logs(tmp_path / "logs", 4, 120)
     short = (tmp_path / "logs" / "run_02.csv").read_text(encoding="utf-8").splitlines()[:6]
     (tmp_path / "logs" / "run_02.csv").write_text("\n".join(short) + "\n", encoding="utf-8")
     arguments = ("--robot", tmp_path / "skid.yaml", tmp_path / "logs", "--quiet")

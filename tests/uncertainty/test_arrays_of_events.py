@@ -98,7 +98,7 @@ def test_a_run_in_which_events_change_their_order_goes_to_simpy(tmp_path: Path) 
 PIECES = st.sampled_from([*DRIVES, "drive: {to: home}", "wait: {duration: 12 s, scheme: creep}", LOOK])
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(PIECES, min_size=1, max_size=5),
     st.booleans(),

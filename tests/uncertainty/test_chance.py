@@ -62,10 +62,10 @@ def test_chance_goes_to_simpy_also_inside_repeats(path: str, prepared: Prepared)
 
 def test_counts_follow_their_distributions(mission: MissionSpec) -> None:
     rng = np.random.default_rng(4)
-    plans = [make_plan(mission, rng=rng) for _ in range(2000)]
+    plans = [make_plan(mission, rng=rng) for _ in range(1000)]
     found = {name: np.array([dict(plan.chance)[name] for plan in plans]) for name in dict(plans[0].chance)}
     obstacles = found["obstacles"]
-    assert obstacles.mean() == pytest.approx(100.0 / SPACING_M, abs=4 * np.sqrt(5.0 / 2000))
+    assert obstacles.mean() == pytest.approx(100.0 / SPACING_M, abs=4 * np.sqrt(5.0 / 1000))
     assert obstacles.var() == pytest.approx(5.0, rel=0.15)
     assert found["relocalisations_failed"].mean() == pytest.approx(FAILURE / (1 - FAILURE), rel=0.15)
     assert found["inspections_repeated"].mean() == pytest.approx(2 * REPEAT / (1 - REPEAT), rel=0.12)
