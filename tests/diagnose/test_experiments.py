@@ -57,6 +57,13 @@ def test_only_what_the_place_has_is_proposed() -> None:
     )
     names = {m.name: m for m in library(site_of([rich], LIMITS))}
     assert {"ramp", "payload on and off", "tile and carpet"} <= set(names)
+    load, clock = np.repeat([0.1, 0.9], 100), np.repeat([0.6e9, 1.8e9], 100)
+    warm, far = np.linspace(5.0, 25.0, 200), np.linspace(2.0, 40.0, 200)
+    other = covariates(temp_ambient_c=warm, cpu_load=load, cpu_freq_hz=clock, access_point_distance_m=far)
+    names |= {m.name: m for m in library(site_of([other], LIMITS))}
+    asked = {"cold and warm": "temp_ambient_c", "processor stress": "cpu_load", "processor clock": "cpu_freq_hz"}
+    asked |= {"near and far from the access point": "access_point_distance_m"}
+    assert {name: set(names[name].varies) for name in asked} == {name: {column} for name, column in asked.items()}
     assert names["tile and carpet"].varies == {"surface"}
     assert names["payload on and off"].varies == {"payload_kg"}
     assert names["tile and carpet"].do == "drive tile then carpet at 0.37 m/s without payload, level, 90 s each"

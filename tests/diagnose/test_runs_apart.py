@@ -24,6 +24,8 @@ from missionsim.logs import LogTable
 
 from .logs import drawing, drive
 
+pytestmark = pytest.mark.usefixtures("effects_alone")
+
 ROBOT = """kind: robot
 name: own
 body: {drive: differential, mass: 30 kg, max_speed: 2 m/s}
@@ -131,7 +133,6 @@ def test_the_floor_of_the_base_is_the_one_that_costs_least_however_short_its_run
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("effects_alone")
 def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     """One level, of the floor that scrubs most, was all that stood out: 2.3 % in place of 0.4."""
     scrub = (2.0, 3.0, 6.0, 1.0, 4.0)

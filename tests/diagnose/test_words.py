@@ -368,3 +368,13 @@ def test_nothing_is_called_surer_than_it_is(p_value: float, told: str) -> None:
 def test_a_law_of_one_level_is_a_sentence(formula: str, name: str, told: str) -> None:
     variables = [*(["speed_m_s"] if "speed" in formula else []), name]
     assert sentences._law_subject(formula, variables) == told
+
+
+def test_how_the_robot_drove_beside_its_plan_is_told_with_its_scheme() -> None:
+    dwell = replace(
+        GRADE, effect="path_stretch", parameters={"k": Estimate(1.08, 1.05, 1.11)}, energy_share=0.02, scheme="seen"
+    )
+    told = dict(words.report(replace(BATTERY, execution=(dwell,))))["DRIVEN"]
+    assert "path_stretch in seen: 1.08" in told
+    assert "95 % 1.05 to 1.11" in told
+    assert told.endswith("+2.0 % of the energy")

@@ -1,7 +1,9 @@
 """A quick subset of the study for CI, on tuning seeds; the full study has its own command (see score.py).
 
-Marked `study` is what a quick test elsewhere holds as well: names of further effects `tests/identify`, behaviours
-`tests/diagnose/test_execution.py`, two effects at once `test_own_robot.py`, what no library holds `test_practice.py`.
+Marked `study` or `long` is what a quick test elsewhere holds as well: names of further effects `tests/identify`,
+behaviours `tests/diagnose/test_execution.py`, two effects at once `test_own_robot.py`, what no library holds and what
+these data cannot tell `tests/identify/test_identify.py`, the drive that tells it `tests/diagnose/test_experiments.py`,
+rules of the selection `tests/identify/test_rules.py` and `test_thresholds.py`.
 """
 
 from __future__ import annotations

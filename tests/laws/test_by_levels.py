@@ -50,11 +50,11 @@ def test_each_floor_has_its_part_of_the_highest() -> None:
 
 
 def searched(levels: dict[str, float], known: float) -> Search:
-    """A search beside a base that was fitted to fifteen short runs, and that knows what turning costs in the mean."""
+    """A search beside a base that was fitted to ten short runs, and that knows what turning costs in the mean."""
     logs = []
-    for seed in range(15):
+    for seed in range(10):
         floor = list(levels)[seed % len(levels)]
-        log = drive(seed, seconds=200.0, noise=0.05, surface=[floor] * 200)
+        log = drive(seed, seconds=150.0, noise=0.05, surface=[floor] * 150)
         turning = np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
         logs.append(drawing(log, 3.0 * log.power_w["robot"] + (levels[floor] - known) * turning))
     split = Split(tuple(logs), (), "none")
@@ -64,7 +64,6 @@ def searched(levels: dict[str, float], known: float) -> Search:
     return Search(ground, make_grammar(ground.covariates, set(), clocks=False))
 
 
-@pytest.mark.long
 def test_what_floors_differ_by_need_not_show_in_what_they_have_in_common() -> None:
     """The best law of one level is about something else."""
     search = searched({"snow": 24.0, "carpet": 13.0, "sand": 24.0, "grass": 19.0, "tile": 0.0}, 16.0)

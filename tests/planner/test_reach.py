@@ -36,7 +36,8 @@ def test_all_places_within_reach_of_the_whole_battery(root: Path, tmp_path: Path
 
 
 def test_the_point_of_no_return_is_where_the_reserve_is_left(root: Path, tmp_path: Path) -> None:
-    found = reach(root, tmp_path, "--set", SMALL, code=1)
+    found = reach(root, tmp_path, "--set", SMALL, "--plot", str(tmp_path / "map.svg"), code=1)
+    assert "<svg" in (tmp_path / "map.svg").read_text()
     out = {name: item for name, item in found["places"].items() if not item["reachable"]}
     assert out
     assert all(item["margin_wh"][item["point_of_no_return"]["battery"]] < 0.0 for item in out.values())
@@ -133,7 +134,6 @@ def test_bad_questions(root: Path, capsys: pytest.CaptureFixture[str], words: li
     assert told in capsys.readouterr().err
 
 
-@pytest.mark.long
 def test_pictures_and_page_of_a_plan(root: Path, tmp_path: Path) -> None:
     task = root / "missions/planning/inspection.yaml"
     words = ["plan", str(task), "--set", "visits=[{place: pump}]", "--plot", str(tmp_path / "map.png")]

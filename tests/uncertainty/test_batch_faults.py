@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command
-from missionsim.uncertainty.batch import _prepared
+from missionsim.uncertainty.batch import Task, _prepared, prepare
 from missionsim.uncertainty.store import BlockStore
 from tests.uncertainty.test_limits import written
 from tests.uncertainty.test_montecarlo import files
@@ -109,6 +110,21 @@ def test_correlations_that_cannot_hold_together_are_found_by_validate(
     for command in ("validate", "montecarlo"):
         assert run_command([command, path]) == 2
         assert "mission.yaml:4:1: error: these correlations cannot hold together" in capsys.readouterr().err
+
+
+def test_values_that_are_said_to_correlate_do_and_no_other_draw_changes(tmp_path: Path) -> None:
+    drives = "segments:\n" + "  - drive: {distance: {value: 90 m, sd: 5 m}}\n" * 3
+    names = [f"segments.{i}.drive.distance" for i in range(3)]
+    drawn = []
+    for number, more in enumerate(("", f"correlations:\n  - {{between: [{names[0]}, {names[2]}], rho: -0.6}}\n")):
+        (folder := tmp_path / str(number)).mkdir()
+        drawn.append(prepare(Task(written(folder, more + drives), (), None, 5, "auto")).sampler.draw(5, 0, 4000))
+    plain, linked = drawn
+    assert np.array_equal(plain[names[1]], linked[names[1]])
+    for draws, rho in ((plain, 0.0), (linked, -0.6)):
+        assert np.corrcoef(draws[names[0]], draws[names[2]])[0, 1] == pytest.approx(rho, abs=0.05)
+        assert draws[names[2]].mean() == pytest.approx(90.0, abs=0.3)
+        assert draws[names[2]].std() == pytest.approx(5.0, abs=0.2)
 
 
 def test_what_matters_for_the_reserve_is_told_beside_what_matters_for_energy(tmp_path: Path) -> None:

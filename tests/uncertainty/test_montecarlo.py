@@ -370,6 +370,13 @@ def test_paired_intervals_cover_the_true_difference() -> None:
     assert 368 <= covered <= 392
 
 
+def test_a_dask_cluster_gives_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None, silence_logs=50) as cluster:
+        assert batch(tmp_path / "there", "--engine", "simpy", "--scheduler", cluster.scheduler_address) == 0
+    assert files(tmp_path / "there") == whole
+
+
 @pytest.mark.long
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     distributed = pytest.importorskip("distributed")
