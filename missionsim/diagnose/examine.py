@@ -15,11 +15,12 @@ from missionsim.diagnose.split import Split, lacking, stretches, with_same_cause
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
-from missionsim.fit.final import of_formula
+from missionsim.fit.final import CLEARLY, of_formula
 from missionsim.fit.parameters import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.design import TooShortError
 from missionsim.identify.identification import Identification, identify, refutes
+from missionsim.identify.predictive import least_squares_clock
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import FEWEST_INTERVALS, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.inputs.power import build_effect, build_power_model
@@ -121,6 +122,8 @@ class Examined:
     """Of the base parameters, as the search began with them."""
     most: Mapping[str, float]
     """By column, what the robot can drive at most."""
+    clock: Clock
+    """Delay and lag that these runs show, the same in all."""
     _laws: list[Proposal | None] = field(default_factory=list, repr=False, compare=False)
 
     def law(self) -> Proposal | None:
@@ -134,8 +137,7 @@ class Examined:
         other things are known of its base beside these logs."""
         if _priors_of(subject, self.features, split.train) != self.priors:
             return None
-        clock = self.found.choice.model.clock
-        return replace(self, models=replace(self.models, power=subject.model, clock=clock, _fits={}))
+        return replace(self, models=replace(self.models, power=subject.model, clock=self.clock, _fits={}))
 
 
 def examine(subject: Subject, split: Split, battery: str, settings: Settings, clock: Clock | None = None) -> Examined:
@@ -196,7 +198,19 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     untested = lacking(held, [features.effects[effect.effect] for effect in found.effects], batteries, train)
     for run, columns in untested.items():
         remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
-    models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
+    shown = _clock_of(found)
+    models = Models(subject.model, battery, features, tuple(train), clock or shown, settings)
     features = replace(features, remarks=(*features.remarks, *remarks))
     tested = tuple(log for log in held if log.run not in untested)
-    return Examined(features, found, models, tested, priors, subject.most(features.covariates))
+    return Examined(features, found, models, tested, priors, subject.most(features.covariates), shown)
+
+
+def _clock_of(found: Identification) -> Clock:
+    """That of the likelihood, or the one near it at which left-out runs err clearly less by least squares; where the
+    base is far from right, that would stand for what is missing."""
+    model = found.choice.model
+    seen = model.clock.in_all(len(model.source.runs))
+    if found.choice.forward is not None or not model.source.aligned:
+        return seen
+    near = least_squares_clock(model.source, seen, model.chosen)
+    return near if found.error_w2([near]) < (1.0 - CLEARLY) * found.error_w2([seen]) else seen

@@ -203,8 +203,8 @@ class Rounds:
         return best[1] if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0] else self.state
 
     def reclock(self) -> None:
-        """Go on at the clock that is seen beside what was added, or where least squares errs least near it, if left-out
-        runs say so. No meter is ahead of the motion but one whose readings stay, by what they stay for."""
+        """Go on at the clock that is seen beside what was added, if left-out runs say so. No meter is ahead of the
+        motion but one whose readings stay, by what they stay for."""
         new, state = self.state.last.clock, self.state
         old, runs = state.models.clock, len(state.models.runs)
         if state is self.timed or not state.taken or new is None:
@@ -212,8 +212,8 @@ class Rounds:
         self.timed = state
         enough = (1.0 - CLEARLY) * state.models.of_others(state.taken)
         least = min(old.delay_s, *(-run.reading_s(self.battery) for run in state.models.runs))
-        for delay_s, lag_s in (self.near(new), (new.delay_s, new.lag_s)):
-            clock = replace(new, delay_s=max(delay_s, least), lag_s=lag_s).in_all(runs)
+        for one in (self.near(new), new):
+            clock = replace(one, delay_s=max(one.delay_s, least)).in_all(runs)
             if max(abs(clock.delay_s - old.delay_s), abs(clock.lag_s - old.lag_s)) < CLOCK_MOVES_S:
                 continue
             later = replace(state.models, clock=clock, _fits={})
@@ -223,10 +223,10 @@ class Rounds:
                 self.settle(*self.together(self.state, state.taken))
                 return
 
-    def near(self, clock: Clock) -> tuple[float, float]:
-        """Delay and lag near a clock at which left-out runs err least by least squares."""
-        model = self.state.seen.found.choice.model
-        return least_squares_clock(model.source, clock, model.chosen)
+    def near(self, clock: Clock) -> Clock:
+        """Where least squares errs least near it: that of a base far from right was looked for by coarse steps."""
+        choice = self.state.seen.found.choice
+        return clock if choice.forward is None else least_squares_clock(choice.model.source, clock, choice.model.chosen)
 
     @property
     def as_well(self) -> set[str]:

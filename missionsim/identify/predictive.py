@@ -16,7 +16,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import CLOCK_STEPS, Clock, Place, uphill
+from missionsim.identify.align import CLOCK_STEPS, Clock, uphill
 from missionsim.identify.design import Design, Source
 from missionsim.identify.settings import (
     DELAY_LEVEL,
@@ -306,13 +306,15 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
     return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
 
 
-def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int]) -> Place:
-    """Delay and lag near a clock at which left-out runs err least by least squares, which is how they are compared:
-    between readings of a slow meter the likelihood hardly tells one from another."""
+def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int]) -> Clock:
+    """The clock near another, the same in all runs, at which left-out runs err least by least squares, which is how
+    they are compared: between readings of a slow meter the likelihood hardly tells one from another."""
+
+    def at(delay_s: float, lag_s: float) -> Clock:
+        return replace(near, delay_s=delay_s, lag_s=lag_s).in_all(len(source.runs))
 
     @cache
     def score(delay_s: float, lag_s: float) -> float:
-        clock = replace(near, delay_s=delay_s, lag_s=lag_s).in_all(len(source.runs))
-        return -LeastSquares.of(source.design(clock, chosen)).leave_out(range(len(chosen))).total
+        return -LeastSquares.of(source.design(at(delay_s, lag_s), chosen)).leave_out(range(len(chosen))).total
 
-    return uphill(score, (near.delay_s, near.lag_s), 1.0, CLOCK_STEPS, 4, 3)
+    return at(*uphill(score, (near.delay_s, near.lag_s), 1.0, CLOCK_STEPS, 4, 3))
