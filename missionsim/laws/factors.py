@@ -17,7 +17,7 @@ from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import REMEMBERED, compile_expression
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
-from missionsim.laws.grammar import Factor, Grammar
+from missionsim.laws.grammar import Factor, Grammar, with_number
 from missionsim.physics import Array
 from missionsim.physics.lag import lagged
 from missionsim.runs.covariates import COVARIATES, may_be_cause
@@ -71,7 +71,7 @@ class _Builder:
     def add(self, name: str, text: str, symbol: str, rank: int = 0, **more: Any) -> None:
         """A factor; one of the first pass only where it varies."""
         factor = Factor(name, text, symbol, rank, **more)
-        values = cache(partial(self._values, text))
+        values = self.evaluated(text)
         if not factor.fine:  # most of the others are never looked at
             found = values()
             if not np.ptp(np.concatenate(found)):
@@ -79,9 +79,15 @@ class _Builder:
         self.factors.append(factor)
         self.values.append(values)
 
-    def _values(self, text: str) -> list[Array]:
-        runs = (evaluate(text, run, len(run["time_s"])) for run in self.runs)
-        return [np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0) for values in runs]
+    def evaluated(self, text: str) -> Callable[[], Sequence[Array]]:
+        """The values of a formula in every run, once they are asked for."""
+
+        @cache
+        def values() -> list[Array]:
+            runs = (evaluate(text, run, len(run["time_s"])) for run in self.runs)
+            return [np.nan_to_num(one, nan=0.0, posinf=0.0, neginf=0.0) for one in runs]
+
+        return values
 
     def family(
         self,
@@ -99,9 +105,9 @@ class _Builder:
         numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
         first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
         for n in numbers:
-            written, shown = (_with(n, x) for x in (text, symbol))
-            own = kind or f"{name} {text}"
-            self.add(name, written, shown, rank, kind=own, numbers=(n, *more), fine=n not in first)
+            written, shown = (with_number(n, x) for x in (text, symbol))
+            own = {"kind": kind or f"{name} {text}", "numbers": (n, *more), "template": (text, symbol)}
+            self.add(name, written, shown, rank, fine=n not in first, **own)
 
     def powers(self, name: str, text: str, symbol: str, powers: Sequence[int], fine: bool = False) -> None:
         """Powers of a quantity; with `fine`, those between them too, for the second pass alone."""
@@ -213,14 +219,7 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
             further += 1
             if further <= MOST_FURTHER:
                 (b.about_thresholds if TEMPERATURE.search(name) else partial(_further, b))(name)
-    return Grammar(tuple(b.factors), tuple(b.values))
-
-
-def _with(number: float, text: str) -> str:
-    """A text with a number for its #; what takes a negative one away adds."""
-    for minus in "-−" if number < 0.0 else "":
-        text = text.replace(f"{minus} #", f"+ {-number:g}")
-    return text.replace("#", f"{number:g}")
+    return Grammar(tuple(b.factors), tuple(b.values), b.evaluated)
 
 
 def _speeds(b: _Builder, name: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -46,6 +46,10 @@ class Factor:
     numbers: tuple[float, ...] = ()
     fine: bool = False
     """One of the numbers between those that the first pass tries."""
+    template: tuple[str, str] = ("", "")
+    """`text` and `symbol` with a # for the first number, where that may be any."""
+    halved: bool = False
+    """Whether the number lies between two of those that the logs gave."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,8 @@ class Grammar:
 
     factors: tuple[Factor, ...]
     values: tuple[Callable[[], Sequence[Array]], ...]
+    evaluated: Callable[[str], Callable[[], Sequence[Array]]]
+    """The values of any other formula."""
 
     def products(self, forms: Sequence[Sequence[int]]) -> list[Array]:
         """Power of forms for a coefficient of 1 in each run at its raw rate, arrays (forms, rows)."""
@@ -75,13 +81,13 @@ class Grammar:
             return [least + np.sum([p * x for p, x in zip(more.values(), run, strict=True)], axis=0) for run in runs]
 
         new = Factor(name, f"({text})", f"({symbol})", 1, fine=True)
-        return Grammar((*self.factors, new), (*self.values, values))
+        return replace(self, factors=(*self.factors, new), values=(*self.values, values))
 
     def without(self, names: Container[str]) -> Grammar:
         """The grammar without the factors of some quantities and of their memories."""
         pairs = zip(self.factors, self.values, strict=True)
         left = [(f, v) for f, v in pairs if f.variable.partition(" ")[0] not in names]
-        return Grammar(tuple(f for f, _ in left), tuple(v for _, v in left))
+        return replace(self, factors=tuple(f for f, _ in left), values=tuple(v for _, v in left))
 
     def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).
@@ -120,12 +126,37 @@ class Grammar:
                 ]
         return found
 
+    def halfway(self, form: Sequence[int]) -> tuple[Grammar, list[tuple[int, ...]]]:
+        """The same form with a number half-way to its neighbours, below and above, in one of its factors; the grammar
+        holds those numbers too."""
+        factors, values, forms = list(self.factors), list(self.values), list[tuple[int, ...]]()
+        for at, i in enumerate(form):
+            own = self.factors[i]
+            if not own.template[0]:
+                continue
+            number, *more = own.numbers
+            alike = {f.numbers[0]: j for j, f in enumerate(factors) if f.kind == own.kind and [*f.numbers[1:]] == more}
+            sides = (
+                max((n for n in alike if n < number), default=None),
+                min((n for n in alike if n > number), default=None),
+            )
+            for side in sides:
+                middle = number if side is None else float(f"{0.5 * (number + side):.3g}")
+                if middle in (number, side):
+                    continue
+                text, symbol = (with_number(middle, told) for told in own.template)
+                alike[middle] = len(factors)
+                factors.append(replace(own, text=text, symbol=symbol, numbers=(middle, *more), fine=True, halved=True))
+                values.append(self.evaluated(text))
+                forms.append((*form[:at], alike[middle], *form[at + 1 :]))
+        return replace(self, factors=tuple(factors), values=tuple(values)), forms
+
     @cached_property
     def kinds(self) -> dict[str, tuple[int, ...]]:
         """Factors of each kind."""
         found: dict[str, tuple[int, ...]] = {}
         for i, factor in enumerate(self.factors):
-            if factor.kind:
+            if factor.kind and not factor.halved:
                 found[factor.kind] = (*found.get(factor.kind, ()), i)
         return found
 
@@ -148,6 +179,13 @@ class Grammar:
     def memory(self, form: Sequence[int]) -> bool:
         """Whether it reads what was before: a first-order lag."""
         return any("lag(" in self.factors[i].text for i in form)
+
+
+def with_number(number: float, text: str) -> str:
+    """A text with a number for its #; what takes a negative one away adds."""
+    for minus in "-−" if number < 0.0 else "":
+        text = text.replace(f"{minus} #", f"+ {-number:g}")
+    return text.replace("#", f"{number:g}")
 
 
 def unit_of(formula: str) -> str:

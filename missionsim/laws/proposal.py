@@ -145,6 +145,7 @@ def _propose(
     on_time = search.on_time(done.best)
     if on_time is not search:
         search, done = on_time, on_time.best() or done
+    done = search.sharpened(done)
     search, done = by_levels(search, done.best) or (search, done)
     near, beside, fitted, seen = _judged(search, done)
     was, told = fitted.errors, all(seen.passed.values())
@@ -157,6 +158,7 @@ def _propose(
         again = search.best()
         if again is None:
             return None
+        again = search.sharpened(again)
         search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
         told = all(seen.passed.values())

@@ -32,6 +32,10 @@ SEEDS = 3
 BENDS = 4
 BENT = 6
 """Best forms whose numbers are varied, and how often."""
+SHARPENED = 3
+HALVINGS = 4
+"""Best forms of different kinds whose numbers are looked for between those of the grammar, and how often a step is
+halved."""
 EXACT = 40
 ABSORBED = 0.93
 NEARLY = 0.7
@@ -237,6 +241,39 @@ class Search:
             near = self.near(top, listed)
         return Searched(top, tuple(near)) if near else None
 
+    def sharpened(self, done: Searched) -> Searched:
+        """The same with numbers between those of the grammar, where runs that are left out are predicted better so."""
+        top = done.best
+        fits = [top, *(self.fit(form, top.model.noise) for form in self._halved(top, done.near))]
+        best = min(fits, key=lambda fit: fit.errors.with_law)
+        forms = [one.form for one in done.near] + [fit.form for fit in fits]
+        return done if best is top else Searched(best, tuple(self._exactly(best, forms)))
+
+    def _halved(self, top: Fitted, near: Sequence[Scored]) -> list[tuple[int, ...]]:
+        """The best forms of different kinds with numbers found by halving the way to their neighbours."""
+        found: list[tuple[int, ...]] = []
+        unlike: list[tuple[int, ...]] = []
+        for form in self._unlike(one.form for one in near):
+            if not any(self._variables(one) < self._variables(form) for one in unlike):
+                unlike.append(form)
+        for form in unlike[:SHARPENED]:
+            best = form
+            for _ in range(HALVINGS):
+                self.grammar, more = self.grammar.halfway(best)
+                own = {best, *more}
+                best = next(one.form for one in self._exactly(top, [best, *more]) if one.form in own)
+            if best != form:
+                found.append(best)
+        return found
+
+    def _unlike(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
+        """The first of those that differ in no more than a threshold or a time constant."""
+        unlike: dict[tuple[Any, ...], tuple[int, ...]] = {}
+        for form in forms:
+            factors = [self.grammar.factors[i] for i in form]
+            unlike.setdefault(tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors), form)
+        return [*unlike.values()]
+
     def _variables(self, form: Sequence[int]) -> set[str]:
         return {self.grammar.factors[i].variable for i in form}
 
@@ -314,11 +351,7 @@ class Search:
             known = self._exactly(top, ranked)
             ranked = [one.form for one in known]
             # the best, and the best of those that differ in more than a threshold or a time constant
-            unlike: dict[tuple[Any, ...], tuple[int, ...]] = {}
-            for form in ranked:
-                factors = [self.grammar.factors[i] for i in form]
-                unlike.setdefault(tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors), form)
-            some = dict.fromkeys([*ranked[:BENT], *[*unlike.values()][:BENT]])
+            some = dict.fromkeys([*ranked[:BENT], *self._unlike(ranked)[:BENT]])
             more = [form for one in some for form in self.grammar.bent(one)]
             if set(more) <= set(ranked):
                 break
