@@ -7,7 +7,7 @@ the logs lie, not what is true. What a factor is worth in a run is its formula e
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import REMEMBERED, compile_expression
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
-from missionsim.laws.grammar import Factor, Grammar, with_number
+from missionsim.laws.grammar import Factor, Grammar, Values
 from missionsim.physics import Array
 from missionsim.physics.lag import lagged
 from missionsim.runs.covariates import COVARIATES, may_be_cause
@@ -57,7 +57,7 @@ class _Builder:
     def __init__(self, covariates: Sequence[Mapping[str, Any]]) -> None:
         self.runs = covariates
         self.factors: list[Factor] = []
-        self.values: list[Callable[[], Sequence[Array]]] = []
+        self.values: list[Values] = []
 
     def has(self, name: str) -> bool:
         return all(name in run for run in self.runs)
@@ -79,7 +79,7 @@ class _Builder:
         self.factors.append(factor)
         self.values.append(values)
 
-    def evaluated(self, text: str) -> Callable[[], Sequence[Array]]:
+    def evaluated(self, text: str) -> Values:
         """The values of a formula in every run, once they are asked for."""
 
         @cache
@@ -104,10 +104,18 @@ class _Builder:
         """Factors that differ in one number, # in their text; those nearest to `coarse` enter the first pass."""
         numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
         first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
+        own = kind or f"{name} {text}"
+
+        def told(n: float) -> tuple[str, str, str]:
+            return name, _with(n, text), _with(n, symbol)
+
+        def another(n: float) -> tuple[Factor, Values]:
+            numbers, new = (n, *more), told(n)
+            factor = Factor(*new, rank, kind=own, numbers=numbers, fine=True, halved=True, another=another)
+            return factor, self.evaluated(new[1])
+
         for n in numbers:
-            written, shown = (with_number(n, x) for x in (text, symbol))
-            own = {"kind": kind or f"{name} {text}", "numbers": (n, *more), "template": (text, symbol)}
-            self.add(name, written, shown, rank, fine=n not in first, **own)
+            self.add(*told(n), rank, kind=own, numbers=(n, *more), fine=n not in first, another=another)
 
     def powers(self, name: str, text: str, symbol: str, powers: Sequence[int], fine: bool = False) -> None:
         """Powers of a quantity; with `fine`, those between them too, for the second pass alone."""
@@ -219,7 +227,14 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
             further += 1
             if further <= MOST_FURTHER:
                 (b.about_thresholds if TEMPERATURE.search(name) else partial(_further, b))(name)
-    return Grammar(tuple(b.factors), tuple(b.values), b.evaluated)
+    return Grammar(tuple(b.factors), tuple(b.values))
+
+
+def _with(number: float, text: str) -> str:
+    """A text with a number for its #; what takes a negative one away adds."""
+    for minus in "-−" if number < 0.0 else "":
+        text = text.replace(f"{minus} #", f"+ {-number:g}")
+    return text.replace("#", f"{number:g}")
 
 
 def _speeds(b: _Builder, name: str) -> None:

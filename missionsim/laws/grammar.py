@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -24,6 +24,8 @@ MOST_FACTORS, MOST_LATE = 3, 2
 """The second with a lag among them."""
 NEIGHBOURS = (0, 1, 2, 4, 8, 16)
 """Numbers beside that of a factor that are tried next, by their place from the nearest on."""
+Values = Callable[[], Sequence[Array]]
+"""What gives the values of a factor in every run at its raw rate."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,10 @@ class Factor:
     numbers: tuple[float, ...] = ()
     fine: bool = False
     """One of the numbers between those that the first pass tries."""
-    template: tuple[str, str] = ("", "")
-    """`text` and `symbol` with a # for the first number, where that may be any."""
     halved: bool = False
-    """Whether the number lies between two of those that the logs gave."""
+    """Whether the first number lies between two of those that the logs gave."""
+    another: Callable[[float], tuple[Factor, Values]] | None = field(default=None, compare=False, repr=False)
+    """The same with another first number, where that may be any."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,7 @@ class Grammar:
     """All factors that the logs allow, and what gives the values of each in every run at its raw rate."""
 
     factors: tuple[Factor, ...]
-    values: tuple[Callable[[], Sequence[Array]], ...]
-    evaluated: Callable[[str], Callable[[], Sequence[Array]]]
-    """The values of any other formula."""
+    values: tuple[Values, ...]
 
     def products(self, forms: Sequence[Sequence[int]]) -> list[Array]:
         """Power of forms for a coefficient of 1 in each run at its raw rate, arrays (forms, rows)."""
@@ -132,7 +132,7 @@ class Grammar:
         factors, values, forms = list(self.factors), list(self.values), list[tuple[int, ...]]()
         for at, i in enumerate(form):
             own = self.factors[i]
-            if not own.template[0]:
+            if own.another is None:
                 continue
             number, *more = own.numbers
             alike = {f.numbers[0]: j for j, f in enumerate(factors) if f.kind == own.kind and [*f.numbers[1:]] == more}
@@ -144,10 +144,10 @@ class Grammar:
                 middle = number if side is None else float(f"{0.5 * (number + side):.3g}")
                 if middle in (number, side):
                     continue
-                text, symbol = (with_number(middle, told) for told in own.template)
+                factor, found = own.another(middle)
                 alike[middle] = len(factors)
-                factors.append(replace(own, text=text, symbol=symbol, numbers=(middle, *more), fine=True, halved=True))
-                values.append(self.evaluated(text))
+                factors.append(factor)
+                values.append(found)
                 forms.append((*form[:at], alike[middle], *form[at + 1 :]))
         return replace(self, factors=tuple(factors), values=tuple(values)), forms
 
@@ -179,13 +179,6 @@ class Grammar:
     def memory(self, form: Sequence[int]) -> bool:
         """Whether it reads what was before: a first-order lag."""
         return any("lag(" in self.factors[i].text for i in form)
-
-
-def with_number(number: float, text: str) -> str:
-    """A text with a number for its #; what takes a negative one away adds."""
-    for minus in "-−" if number < 0.0 else "":
-        text = text.replace(f"{minus} #", f"+ {-number:g}")
-    return text.replace("#", f"{number:g}")
 
 
 def unit_of(formula: str) -> str:

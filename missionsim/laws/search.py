@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -250,18 +250,23 @@ class Search:
         return done if best is top else Searched(best, tuple(self._exactly(best, forms)))
 
     def _halved(self, top: Fitted, near: Sequence[Scored]) -> list[tuple[int, ...]]:
-        """The best forms of different kinds with numbers found by halving the way to their neighbours."""
-        found: list[tuple[int, ...]] = []
+        """The best forms of different kinds with the numbers at which left-out runs err least, found by halving the way
+        to their neighbours."""
         unlike: list[tuple[int, ...]] = []
         for form in self._unlike(one.form for one in near):
             if not any(self._variables(one) < self._variables(form) for one in unlike):
                 unlike.append(form)
+
+        @cache
+        def error(form: tuple[int, ...]) -> float:
+            return left_out(self.ground.at_noise(self.ground.extended(self.watts(form)), top.model.noise)).with_law
+
+        found = []
         for form in unlike[:SHARPENED]:
             best = form
             for _ in range(HALVINGS):
                 self.grammar, more = self.grammar.halfway(best)
-                own = {best, *more}
-                best = next(one.form for one in self._exactly(top, [best, *more]) if one.form in own)
+                best = min([best, *more], key=error)
             if best != form:
                 found.append(best)
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -193,6 +194,30 @@ def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
     made = propose(found, ground.covariates)
     assert made is not None
     assert made.certain == ("cpu_load",)
+
+
+@pytest.mark.usefixtures("laws_at_once")
+def test_a_threshold_is_found_between_the_numbers_of_the_grammar() -> None:
+    """A gear that churns above 23.8 degC: of the numbers of the grammar, a steeper rise from one further below came
+    nearer than either."""
+    rng, runs = np.random.default_rng(9), []
+    for celsius in (2.7, 4.9, 8.5, 12.7, 14.3, 15.5, 15.7, 16.4, 20.4, 26.3, 27.6, 33.1):
+        speed = np.repeat(rng.choice([0.0, 0.4, 0.8, 1.5], 15), 20)
+        warm = celsius + np.linspace(0.0, 0.4, 300)
+        gradient = {"c3": 40.0 * speed, "c4": np.full(300, 60.0)}
+        base = np.sum(list(gradient.values()), axis=0)
+        measured = base + 15.0 * speed * np.maximum(warm - 23.8, 0.0) + 1.5 * rng.standard_normal(300)
+        time_s = np.arange(300) + 0.5
+        covariates = {"speed_m_s": speed, "temp_ambient_c": warm, "time_s": time_s}
+        columns = {"grade": np.zeros(300)}
+        runs.append(RunData(f"{celsius}", time_s, np.ones(300), measured, base, gradient, columns, covariates))
+    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05})
+    made = propose(found, [run.covariates for run in runs])
+    assert made is not None
+    bend = re.fullmatch(r"k \* abs\(speed_m_s\) \* max\(temp_ambient_c - ([\d.]+), 0\)", made.first.formula)
+    assert bend is not None
+    assert float(bend[1]) == pytest.approx(23.8, abs=0.2)
+    assert made.first.k == pytest.approx(15.0, rel=0.03)
 
 
 @pytest.mark.parametrize(("runs", "far_off", "close"), [(1, 1, 2), (2, 2, 3), (3, 3, 3), (6, 3, 3)])

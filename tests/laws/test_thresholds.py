@@ -124,6 +124,7 @@ def test_how_far_the_best_form_is_looked_for(at: int, steps: int, found: bool) -
     if not steps:
         score[at,] = 200.0
     own = SimpleNamespace(ground=None, screen=lambda *_: [Scored((i,), 0.0, 0.1, 0.0) for i in range(60)])
+    own._unlike = lambda forms: Search._unlike(own, forms)
 
     def exactly(top: Any, forms: list[tuple[int, ...]]) -> list[Scored]:
         return sorted((Scored(form, 0.0, 0.1, score[form]) for form in dict.fromkeys(forms)), key=lambda s: -s.score)
@@ -152,6 +153,7 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
     errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
     fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
+    own.sharpened = lambda done: done
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
     for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
@@ -172,6 +174,7 @@ def test_what_a_drift_may_stand_behind_is_no_law(
     errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
     fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
+    own.sharpened = lambda done: done
     own.grammar = grammar
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
     for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
