@@ -18,12 +18,13 @@ from missionsim.errors import InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.physics import Array
+from missionsim.runs.causes import FEWEST, as_near
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive, filled
 from missionsim.runs.run import Run, mended
 
-FEWEST, FEWEST_LEVELS = 3, 5
-"""Runs that can say what is usual, and whose levels can."""
+FEWEST_LEVELS = 5
+"""Runs whose levels can say what is usual."""
 OFFSET, SCATTER = 0.06, 6.0
 """An offset of one run is told from this part of the mean power on, and this many deviations of all runs (assumed)."""
 LOADS = ("cpu_load", "cpu_freq_hz")
@@ -227,12 +228,15 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
     scale, offset = np.polyfit(said, measured, 1).tolist() if np.ptp(said) > 0.0 else (1.0, 0.0)
     # a load that is carried scales what is needed in motion, a meter what is needed at rest too; the other runs that
     # are left have a gain of their own
-    most = 0.0
+    gains = {}
     for i in np.flatnonzero(others.left).tolist():
         if i != number and np.ptp(own := others.said(i)) > 0.0:
             gain = float(np.polyfit(own, others.runs[i].measured_w[battery], 1)[0])
-            most = max(most, abs(float(np.log(max(gain, 1e-3)))))
-    alone = scale > 0.0 and abs(np.log(scale)) > max(0.1, GAINS * most)
+            gains[others.runs[i].run.run] = float(np.log(max(gain, 1e-3)))
+    alone = scale > 0.0 and abs(np.log(scale)) > max(0.1, GAINS * max(map(abs, gains.values()), default=0.0))
+    if alone:  # on a hot day all of it may be less, as it is on a warm one
+        fair = [other.run for other in others.runs if other.run.run in gains]
+        alone = not as_near(one.run, fair, gains | {one.run.run: float(np.log(scale))})
     if alone and abs(offset) < 0.3 * abs(scale - 1.0) * float(np.mean(said)):
         evened = replace(one, measured_w={**one.measured_w, battery: measured / scale})
         tried.append(

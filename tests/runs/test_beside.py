@@ -15,10 +15,14 @@ WAVE = np.sin(np.arange(400) * 2.0 * np.pi / 400)
 OTHER = np.cos(np.arange(400) * 2.0 * np.pi / 400)
 
 
+def of_run(number: int, **columns: np.ndarray) -> Any:
+    return SimpleNamespace(run=f"{number}", columns=columns, number=columns.__getitem__)
+
+
 def others(measured: Sequence[np.ndarray], scatter: Sequence[float], residual: float = 0.0) -> Any:
     """What the others say of each run is one wave about 10 W."""
     count = len(measured)
-    runs = [SimpleNamespace(run=SimpleNamespace(run=f"{i}"), measured_w={"robot": w}) for i, w in enumerate(measured)]
+    runs = [SimpleNamespace(run=of_run(i), measured_w={"robot": w}) for i, w in enumerate(measured)]
     own = SimpleNamespace(runs=runs, battery="robot", left=np.ones(count, dtype=bool), scatter=np.array(scatter))
     own.said, own.late, own.residual = lambda _: 10.0 + WAVE, lambda _: 0, lambda *_: residual
     own.learn = lambda: None
@@ -74,6 +78,23 @@ def test_a_gain_beyond_those_of_the_others(
     monkeypatch.setattr(beside, "mended", lambda *_: [])
     monkeypatch.setattr(beside, "_unlogged_switching", lambda *_: [])
     own = others([np.exp(g) * (10.0 + WAVE) for g in [0.0, usual] * 3 + [gain]], [1.0] * 6 + [9.0], 0.5)
+    own.left[6] = False
+    assert ("times that of the other runs" in beside._fault(own, 6, None)) is told
+
+
+@pytest.mark.parametrize(("gains", "told"), [((0.0, -0.02, -0.03), True), ((0.0, -0.02, -0.15), False)])
+def test_a_gain_that_the_weather_explains(
+    monkeypatch: pytest.MonkeyPatch, gains: tuple[float, ...], told: bool
+) -> None:
+    """Friction that falls with heat: on the hottest of twelve days a rover drew 0.79 times what it draws else, and was
+    called another meter, though it drew less on all warm days too."""
+    monkeypatch.setattr(beside, "replace", lambda one, **_: one)
+    monkeypatch.setattr(beside, "mended", lambda *_: [])
+    monkeypatch.setattr(beside, "_unlogged_switching", lambda *_: [])
+    every = [*gains, *gains, -0.24]
+    own = others([np.exp(g) * (10.0 + WAVE) for g in every], [1.0] * 6 + [9.0], 0.5)
+    for i, (one, gain) in enumerate(zip(own.runs, every, strict=True)):
+        one.run = of_run(i, temp_ambient_c=np.full(400, 20.0 - 50.0 * gain))
     own.left[6] = False
     assert ("times that of the other runs" in beside._fault(own, 6, None)) is told
 
