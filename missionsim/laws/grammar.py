@@ -151,6 +151,21 @@ class Grammar:
                 forms.append((*form[:at], alike[middle], *form[at + 1 :]))
         return replace(self, factors=tuple(factors), values=tuple(values)), forms
 
+    def unscreened(self, form: Sequence[int]) -> list[list[tuple[int, ...]]]:
+        """The same form with another factor of the same quantity, by kinds of which the first pass has no number."""
+        found = []
+        for at, i in enumerate(form):
+            groups: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+            for j, factor in enumerate(self.factors):
+                if factor.variable == self.factors[i].variable and factor.another is not None and not factor.halved:
+                    groups.setdefault((factor.kind, factor.numbers[1:]), []).append(j)
+            found += [
+                [(*form[:at], j, *form[at + 1 :]) for j in group]
+                for group in groups.values()
+                if i not in group and all(self.factors[j].fine for j in group)
+            ]
+        return found
+
     @cached_property
     def kinds(self) -> dict[str, tuple[int, ...]]:
         """Factors of each kind."""

@@ -261,13 +261,14 @@ class Search:
         def error(form: tuple[int, ...]) -> float:
             return left_out(self.ground.at_noise(self.ground.extended(self.watts(form)), top.model.noise)).with_law
 
+        unscreened = self.grammar.unscreened(unlike[0]) if unlike else []
         found = []
-        for form in unlike[:SHARPENED]:
+        for form in [*unlike[:SHARPENED], *(min(forms, key=error) for forms in unscreened)]:
             best = form
             for _ in range(HALVINGS):
                 self.grammar, more = self.grammar.halfway(best)
                 best = min([best, *more], key=error)
-            if best != form:
+            if best != top.form:
                 found.append(best)
         return found
 

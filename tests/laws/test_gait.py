@@ -10,8 +10,11 @@ import pytest
 
 from missionsim.diagnose import Subject
 from missionsim.diagnose.diagnosis import diagnose
+from missionsim.identify.data import Candidate, RunData
+from missionsim.identify.identification import identify
 from missionsim.inputs.loading import load_robot
 from missionsim.laws.factors import make_grammar
+from missionsim.laws.proposal import propose
 from tests.diagnose.logs import drawing, drive
 
 
@@ -34,6 +37,29 @@ def test_a_load_that_begins_at_a_speed_is_a_step_and_no_friction() -> None:
     assert begins is not None
     assert float(begins[1]) == pytest.approx(0.52, abs=0.02)
     assert law.first.k == pytest.approx(3.0, abs=0.3)
+
+
+@pytest.mark.usefixtures("laws_at_once")
+def test_a_step_is_found_where_a_bump_leads() -> None:
+    """A legged robot that trots from 0.9 m/s on: no step is among the forms that are asked first, and a resonance came
+    nearer to it than what rises from a speed on."""
+    rng, runs = np.random.default_rng(3), []
+    for number in range(6):
+        speed = np.repeat(np.where(rng.random(60) < 0.2, 0.0, np.clip(rng.normal(0.95, 0.3, 60), 0.1, 1.5)), 10)
+        gradient = {"c3": 60.0 * speed, "c4": 40.0 * (speed > 0.0), "standing": 50.0 * (speed == 0.0)}
+        base = np.sum(list(gradient.values()), axis=0)
+        measured = base + 11.0 * (speed > 0.9) + 1.5 * rng.standard_normal(600)
+        time_s = np.arange(600) + 0.5
+        covariates = {"speed_m_s": speed, "yaw_rate_rad_s": 0.1 * rng.standard_normal(600), "time_s": time_s}
+        columns = {"grade": np.zeros(600)}
+        runs.append(RunData(f"{number}", time_s, np.ones(600), measured, base, gradient, columns, covariates))
+    found = identify(runs, [Candidate("grade", ("grade",))], dict.fromkeys(("c3", "c4", "standing"), 0.05))
+    made = propose(found, [run.covariates for run in runs])
+    assert made is not None
+    begins = re.fullmatch(r"k \* \(abs\(speed_m_s\) > ([\d.]+)\)", made.first.formula)
+    assert begins is not None
+    assert float(begins[1]) == pytest.approx(0.9, abs=0.01)
+    assert made.first.k == pytest.approx(11.0, rel=0.05)
 
 
 def test_sideways_speed_has_powers_between_whole_ones() -> None:
