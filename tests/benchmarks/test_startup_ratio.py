@@ -26,6 +26,7 @@ def seconds(command: list[str]) -> float:
     return used.ru_utime + used.ru_stime
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["validate", "run"])
 def test_start_up_within_three_times_the_bare_interpreter(root: Path, command: str, in_turns: InTurns) -> None:
     mission = str(root / "missions" / "pioneer3dx" / "valve_patrol.yaml")

@@ -155,6 +155,7 @@ def test_what_no_library_holds_is_not_named(what):
     assert not result["confident_wrong"], result
 
 
+@pytest.mark.long
 @EFFECTS
 @pytest.mark.parametrize("variant", ["energy", "two-runs"])
 def test_other_meters_and_few_runs(variant):
