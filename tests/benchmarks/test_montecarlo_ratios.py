@@ -152,6 +152,7 @@ def test_cost_is_linear_in_segments(patrol: Prepared, tmp_path: Path) -> None:
     assert ratio < 2 * 1.5
 
 
+@pytest.mark.long
 def test_cost_is_linear_in_runs(patrol: Prepared) -> None:
     arrays = patrol.arrays
     assert arrays is not None

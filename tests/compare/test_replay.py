@@ -33,7 +33,7 @@ def test_replay_is_the_physics_written_out_again() -> None:
     assert model_w == pytest.approx(true_power(columns), rel=1e-12)
 
 
-@pytest.mark.parametrize("size", [1, 7, 64, 599])
+@pytest.mark.parametrize("size", [pytest.param(1, marks=pytest.mark.long), 7, 64, 599])
 @pytest.mark.parametrize(
     "effect",
     [

@@ -18,7 +18,7 @@ from missionsim.logs import LogTable
 
 from .logs import drive
 
-pytestmark = pytest.mark.usefixtures("examined_once")
+pytestmark = pytest.mark.usefixtures("examined_once", "laws_at_once")
 
 SCRUB = 3.0
 """Watts per rad/s that the robot draws and its file does not know."""

@@ -112,7 +112,7 @@ def test_a_diagnosis_does_not_call_it_nothing() -> None:
     assert "nothing beyond the noise" not in str(words.report(found))
 
 
-@pytest.mark.parametrize(("on", "told"), [(0.01, True), (0.5, False)])
+@pytest.mark.parametrize(("on", "told"), [(0.01, True), pytest.param(0.5, False, marks=pytest.mark.long)])
 def test_watts_that_fitted_runs_hold_too_little_of_are_told(on: float, told: bool) -> None:
     """A heater that the battery does not feed: summer runs hardly switch it on, or half of the time; winter runs do."""
 

@@ -15,7 +15,7 @@ from missionsim.engine.simulate import simulate
 from tests.engine.making import ROBOT, energy, load, robot, run
 
 EXACT = 1e-12
-SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SOME = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 sensors = st.fixed_dictionaries(
     {}, optional={"camera": st.integers(0, 2), "lidar": st.integers(0, 1), "radio": st.integers(0, 1)}

@@ -110,7 +110,7 @@ def test_run_agrees_with_an_independent_solution(
     assert result.batteries["main"].audit_relative_error < 1e-9
 
 
-@pytest.mark.parametrize("circuit", [False, True])
+@pytest.mark.parametrize("circuit", [pytest.param(False, marks=pytest.mark.long), True])
 def test_the_lag_goes_on_where_the_engine_has_looked_at_the_battery(circuit: bool) -> None:
     # a charger that fills to a level makes the engine evaluate what has been, and go on from there
     battery: dict[str, Any] = {"capacity": "20 Wh", "charge_efficiency": 1.0}
@@ -192,7 +192,9 @@ def rows(seed: int = 3, count: int = 400) -> dict[str, np.ndarray]:
     return {"time_s": time_s, "speed_m_s": np.repeat(rng.choice([-0.4, 0.0, 0.5, 1.0], count // 20), 20)}
 
 
-@pytest.mark.parametrize("size", [0, pytest.param(1, marks=pytest.mark.long), 7, 64])
+@pytest.mark.parametrize(
+    "size", [0, pytest.param(1, marks=pytest.mark.long), pytest.param(7, marks=pytest.mark.long), 64]
+)
 def test_a_log_is_driven_as_the_equation_says_in_blocks_too(size: int) -> None:
     columns = rows()
     log = log_of(columns, np.ones(400))

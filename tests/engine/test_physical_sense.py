@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.engine.making import energy, robot, run
 from tests.engine.test_invariance import segments
 
-SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SOME = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 SLACK = 1.0 - 1e-12
 
 

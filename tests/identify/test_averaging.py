@@ -133,6 +133,7 @@ def test_kept_curves_change_nothing() -> None:
         assert np.array_equal(getattr(fresh.design(clocks[0]), name), getattr(again, name))
 
 
+@pytest.mark.long
 def test_a_varied_column_is_like_a_source_made_with_it() -> None:
     """Alone and on top of another varied column, for two clocks; everything else stays."""
     runs = make_runs(1, count=3)

@@ -41,11 +41,11 @@ def test_nothing_hidden_nothing_named(seed):
 @pytest.mark.parametrize(
     ("column", "effect"),
     [
-        ("grade", "grade"),
+        pytest.param("grade", "grade", marks=pytest.mark.long),
         ("payload", "payload"),
-        ("turning_scrub", "turning_scrub"),
+        pytest.param("turning_scrub", "turning_scrub", marks=pytest.mark.long),
         ("surface|carpet", "surface_rolling_resistance"),
-        ("aerodynamic_drag", "aerodynamic_drag"),
+        pytest.param("aerodynamic_drag", "aerodynamic_drag", marks=pytest.mark.long),
         ("component_power:camera", "component_power:camera"),
     ],
 )
@@ -242,7 +242,7 @@ def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: l
     assert [effect.effect for effect in identify(runs, effects, {"c4": 1.0}).effects] == names
 
 
-@pytest.mark.parametrize("unlogged", [0.0, 6.0])
+@pytest.mark.parametrize("unlogged", [pytest.param(0.0, marks=pytest.mark.long), 6.0])
 @pytest.mark.parametrize(("watts", "names"), [(5.0, ["cpu_load"]), (0.0, [])])
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_load_logged_late_is_no_noise(seed: int, watts: float, names: list[str], unlogged: float) -> None:

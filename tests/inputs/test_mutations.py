@@ -82,7 +82,7 @@ def judge(folder: Path, text: str) -> None:
 
 
 MUTATIONS = settings(
-    max_examples=100,
+    max_examples=50,
     deadline=None,
     database=None,
     derandomize=True,

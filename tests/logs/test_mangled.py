@@ -19,7 +19,7 @@ from tests.logs.conftest import motion, write_csv
 from tests.logs.test_maps import BASE, source
 
 Result = TypeVar("Result")
-SETTINGS = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SETTINGS = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 CELLS = st.sampled_from([
     "", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "abc", "0", "-5", '"', "'", ",", ";", "1,5", "1.5.2",
     "0x10", "１", "True", "2024-01-01", "\x00", "\ufeff", "é", "\r", "=1+1", "9" * 400, " ", "#", "\t",

@@ -123,7 +123,9 @@ def trials(kind: str, folder: Path, count: int, seed: int) -> Iterator[tuple[str
         yield way, outcome(path, map_path, rows, before)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.long) if kind in ("ros1", "sqlite3") else kind for kind in KINDS]
+)
 def test_damaged_files(tmp_path: Path, kind: str) -> None:
     found = collections.Counter(trials(kind, tmp_path / "here", 16, 1))
     print(kind, dict(found))

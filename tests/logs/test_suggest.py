@@ -65,7 +65,7 @@ def test_a_speed_by_its_unit_alone_and_a_floor_in_which_the_word_run_is_hidden(t
     assert log.columns["surface"].names == ("gras", "beton")
 
 
-@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
+@pytest.mark.parametrize("kind", ["ros1", pytest.param("sqlite3", marks=pytest.mark.long), "mcap"])
 def test_bags(tmp_path: Path, kind: str) -> None:
     bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 40.0)
     (log,) = suggested(tmp_path, bag)

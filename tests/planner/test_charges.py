@@ -63,7 +63,14 @@ def _beside_levels(seed: int, folder: Path, *, alike: bool) -> Answer:
     return found
 
 
-@pytest.mark.parametrize(("seed", "alike"), [(1, True), (2, False), (3, True), (4, False), (8, True)])
+@pytest.mark.parametrize(
+    ("seed", "alike"),
+    [
+        (1, True),
+        (2, False),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in ((3, True), (4, False), (8, True))),
+    ],
+)
 def test_any_charge_beside_many_levels(seed: int, alike: bool, tmp_path: Path) -> None:
     _beside_levels(seed, tmp_path, alike=alike)
 

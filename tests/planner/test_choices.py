@@ -63,7 +63,7 @@ def _as_each_in_turn(seed: int, folder: Path) -> None:
     assert all(free <= value * (1 + 1e-9) for value in each[0, 0])
 
 
-@pytest.mark.parametrize("seed", [7001, 7004, 7007])
+@pytest.mark.parametrize("seed", [7001, *(pytest.param(seed, marks=pytest.mark.long) for seed in (7004, 7007))])
 def test_what_is_chosen_is_as_good_as_each_in_turn(seed: int, tmp_path: Path) -> None:
     _as_each_in_turn(seed, tmp_path)
 

@@ -65,7 +65,7 @@ def test_a_search_that_is_stopped_claims_nothing(root: Path, capsys: pytest.Capt
     assert code == 0 or "there may be one" in told
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_bounds_of_many_visits_hold_with_values_and_loads(root: Path, seed: int) -> None:
     """Few visits, solved as if they were many: no bound is above what going through all orders finds."""
     rng = np.random.default_rng(seed)

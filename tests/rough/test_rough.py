@@ -55,6 +55,7 @@ def test_rough_worlds(kind: str, seed: int, tmp_path: Path) -> None:
     assert (named[0] in truth) if truth else not named
 
 
+@pytest.mark.long
 def test_a_noisy_speed_at_ten_hertz_does_not_hide_the_inertia() -> None:
     # rectified noise adds the same to every run: that is the base's to take, no fault of the effect
     assert list(case(REGIMES["10 Hz"], "acceleration", 0.05, 0)["named"]) == ["acceleration"]

@@ -303,7 +303,15 @@ def test_hotter_than_all_others_is_not_odd(runs: list[Run], logged: bool) -> Non
     assert [line.split(":")[0] for line in told(plain)] == ["run_01"]
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("floors", 1), ("heater", 6), ("heater", 2), ("wander", 2)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        ("floors", 1),
+        pytest.param("heater", 6, marks=pytest.mark.long),
+        ("heater", 2),
+        pytest.param("wander", 2, marks=pytest.mark.long),
+    ],
+)
 def test_rough_runs_are_no_spoilt_ones(kind: str, seed: int, tmp_path: Path) -> None:
     """Floors, a heater, an arm that no robot file knows: no run has another unit, nor a meter that is off."""
     world = WORLDS[kind]
@@ -347,12 +355,12 @@ def test_speeds_that_were_commanded_alike_are_no_copies(runs: list[Run]) -> None
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        ("gain", "power_robot_w is 1.3"),
+        pytest.param("gain", "power_robot_w is 1.3", marks=pytest.mark.long),
         ("late", "power_robot_w lies +25 s beside what the robot does"),
-        ("shuffled", "power_robot_w does not follow what the robot does"),
+        pytest.param("shuffled", "power_robot_w does not follow what the robot does", marks=pytest.mark.long),
         ("frozen", "speed_m_s stands at "),
         ("switch", "on_camera is 0 in every row, while the power goes up and down by its watts"),
-        ("mph", "speed_m_s is 2.24 times too large (mph?)"),
+        pytest.param("mph", "speed_m_s is 2.24 times too large (mph?)", marks=pytest.mark.long),
         ("sign", "slope_rad has the other sign"),
     ],
 )
@@ -428,7 +436,9 @@ def test_runs_on_a_floor_that_costs_more_have_no_offset_of_a_meter() -> None:
     assert told(runs) == []
 
 
-@pytest.mark.parametrize(("case", "seed"), [("payload-10pct", 1012), ("payload-5pct-energy", 1010)])
+@pytest.mark.parametrize(
+    ("case", "seed"), [("payload-10pct", 1012), pytest.param("payload-5pct-energy", 1010, marks=pytest.mark.long)]
+)
 def test_a_run_that_carries_most_is_not_odd(case: str, seed: int, tmp_path: Path) -> None:
     """What half of one run shows of a load is held against the run that carries one throughout."""
     logs = write_world(make(ALL_CASES[case], seed), tmp_path) / "train"

@@ -84,7 +84,7 @@ SEGMENTS = st.one_of(
 )
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(SEGMENTS, min_size=1, max_size=7),
     st.sampled_from(["0.3 m/s^2", "{value: 0.5 m/s^2, sd: 4 %}"]),
