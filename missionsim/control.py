@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from missionsim.effects import named_models
 from missionsim.errors import InputError
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, electrical, f64
 
 if TYPE_CHECKING:
@@ -61,9 +63,6 @@ class PowerPredictor:
     values: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        from missionsim.inputs import load_robot
-        from missionsim.inputs.power import build_power_model
-
         spec: RobotSpec = load_robot(self.robot) if isinstance(self.robot, str) else self.robot
         self.spec = spec
         self.model = build_power_model(spec)

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.timeline import integrate
+from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.inputs.mission import MissionSpec, reserve_of
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array
 
 
@@ -49,9 +51,6 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     really gave, so each stretch from dock to dock is a mission of its own. Raises InputError: for an unknown battery,
     and for missions that recharge on the way.
     """
-    from missionsim.engine.simulate import simulate
-    from missionsim.inputs.power import build_power_model
-
     if battery not in mission.robot.batteries:
         raise InputError.unknown(f"no battery '{battery}'", battery, mission.robot.batteries)
     capacity = mission.robot.batteries[battery].capacity

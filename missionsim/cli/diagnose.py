@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.improve import improve as run_improve
 from missionsim.diagnose.proposed import called, check_formula
 from missionsim.diagnose.sentences import worse
+from missionsim.diagnose.split import Split, read_split
 from missionsim.diagnose.waterfall import energy_note, measured_note, power_of_floor
 from missionsim.diagnose.words import heldout_line
 from missionsim.errors import InputError, visible
@@ -22,6 +24,8 @@ from missionsim.files import write_text
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
 from missionsim.inputs.edit import for_folder, robot_text
 from missionsim.inputs.loading import load_robot
+from missionsim.inputs.robot import RobotSpec
+from missionsim.logs import describe
 from missionsim.numerals import bare, meter_clock, p_told, rounded, watts
 from missionsim.report.terminal import console, show_table
 
@@ -125,7 +129,7 @@ def improve(
     for name in without or ():
         if not name.startswith("law_"):  # laws are not known before they are found
             check_name(load_robot(search.robot), name)
-    spec, split = search.read(logs, to)
+    spec, split = _read(search, logs, to)
     text = robot_text(search.robot)
     measured = list(dict.fromkeys(name for log in split.given for name in log.power_w))
     known = [name for name in measured if name in spec.batteries] or measured
@@ -178,6 +182,17 @@ def improve(
         _print(done, advice, skipped)
     to.written(out, report)
     return 1 if split.left_out or any(one.worse for one in done) else 0
+
+
+def _read(search: Search, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split]:
+    """Robot, and runs to fit and to test on; says what the checks found."""
+    spec = load_robot(search.robot)
+    split = read_split(spec, logs, search.holdout)
+    tell_left_out(split.left_out, to)
+    runs = [*split.given, *(run for run in split.heldout if all(run is not one for one in split.given))]
+    for line in [] if to.quiet else [*describe(runs), *split.remarks]:
+        print(visible(line), file=sys.stderr)
+    return spec, split
 
 
 def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: dict[str, Any]) -> None:
@@ -248,7 +263,7 @@ def add_effect(
         check_name(load_robot(search.robot), effect)
     elif formula is not None and not formula.strip().isdigit():
         check_formula(formula)
-    spec, split = search.read(logs, to)
+    spec, split = _read(search, logs, to)
     measured = list(dict.fromkeys(name for log in split.given for name in log.power_w))
     motors = spec.motion.battery if spec.motion is not None else ""
     chosen = search.battery or (motors if motors in measured else measured[0])

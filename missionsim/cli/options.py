@@ -15,15 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from missionsim.errors import Fault, InputError, visible
 from missionsim.files import to_json, write_text
-from missionsim.identify.settings import ALPHA  # a module that loads nothing: the command line begins at once
+from missionsim.identify.settings import ALPHA, Settings  # a module that loads nothing: the command line begins at once
 from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
     from rich.progress import Progress
-
-    from missionsim.diagnose.split import Split
-    from missionsim.identify.settings import Settings
-    from missionsim.inputs.robot import RobotSpec
 
 
 @dataclass(frozen=True)
@@ -174,8 +170,6 @@ class Search:
     @property
     def settings(self) -> Settings:
         """Settings of the identification."""
-        from missionsim.identify.settings import Settings
-
         return Settings(alpha=self.alpha, align=not self.no_align)
 
     @property
@@ -185,20 +179,6 @@ class Search:
         words += [word for one in self.holdout or () for word in ("--holdout", one)]
         words += [] if self.alpha == ALPHA else ["--alpha", f"{self.alpha:g}"]
         return shlex.join([*words, *(["--no-align"] if self.no_align else [])])
-
-    def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split]:
-        """Robot, and runs to fit and to test on; says what the checks found."""
-        from missionsim.diagnose.split import read_split
-        from missionsim.inputs.loading import load_robot
-        from missionsim.logs import describe
-
-        spec = load_robot(self.robot)
-        split = read_split(spec, logs, self.holdout)
-        tell_left_out(split.left_out, to)
-        runs = [*split.given, *(run for run in split.heldout if all(run is not one for one in split.given))]
-        for line in [] if to.quiet else [*describe(runs), *split.remarks]:
-            print(visible(line), file=sys.stderr)
-        return spec, split
 
 
 SHARED = (Output, Changes, Search)

@@ -21,8 +21,12 @@ import numpy as np
 from missionsim.exchange.site import flow
 from missionsim.files import atomic_write, needed, write_text
 from missionsim.glossary import column_of
+from missionsim.inputs.power import build_power_model
 from missionsim.labels import Labels
+from missionsim.logs import read_logs
 from missionsim.physics import Array
+from missionsim.plan.build import make_plan
+from missionsim.runs.drive import assume, drive_blocks
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
@@ -77,10 +81,6 @@ def _ends(first: float, after: Array) -> Array:
 def write_comparison(robot: RobotSpec, logs: Sequence[str | Path], path: str | Path) -> list[Path]:
     """Write measured logs beside the model that they drive, row by row; several runs under topics of their own names.
     Gives the MCAP file, the layout and the map."""
-    from missionsim.inputs.power import build_power_model
-    from missionsim.logs import read_logs
-    from missionsim.runs.drive import assume, drive_blocks
-
     model = build_power_model(robot)
     runs = read_logs(list(logs), robot=robot)
 
@@ -120,8 +120,6 @@ def _flat(value: Any, count: int) -> Any:
 
 def _planned_pose(mission: MissionSpec, driven_m: Array) -> Pose | None:
     """Position and heading on the map after so many metres driven; None without coordinates or off the map's edges."""
-    from missionsim.plan.build import make_plan
-
     environment = mission.environment
     if environment is None or mission.start is None:
         return None

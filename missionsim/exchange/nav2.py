@@ -17,9 +17,12 @@ import numpy as np
 from missionsim.exchange.site import Site, SiteOptions, flow, says_charger
 from missionsim.exchange.source import Faults, Value, parse_json, read_text, rewritten
 from missionsim.inputs.loading import mission_from_text
+from missionsim.inputs.power import build_power_model
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Node
 from missionsim.physics import Array
+from missionsim.plan.build import make_plan
+from missionsim.plan.steady import steady_power_w
 
 _TITLES = ("name", "label", "title")
 _LINES = ("LineString", "MultiLineString")
@@ -221,10 +224,6 @@ def steady_power(
     Under the robot's first control scheme that moves. `drives`: slope [rad] and speed [m/s] of each. Gives arrays of
     shape (len(drives),) [W]. Raises InputError: what the robot cannot do.
     """
-    from missionsim.inputs.power import build_power_model
-    from missionsim.plan.build import make_plan
-    from missionsim.plan.steady import steady_power_w
-
     scheme = next((name for name, spec in robot.schemes.items() if spec.motion), "")
     defaults = {"scheme": scheme, "profile": "constant_speed", "payload": f"{payload_kg:.9g} kg" if payload_kg else ""}
     lines = [f"kind: mission\nname: steady\nrobot: {flow(robot.name)}"]

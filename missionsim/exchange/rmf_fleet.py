@@ -21,6 +21,7 @@ from missionsim.exchange.site import Remark, clean, flow
 from missionsim.exchange.source import Faults, Value, read_document, read_text, rewritten
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.robot import RobotSpec
+from missionsim.logs import read_logs
 
 FORMULA = "friction*m*9.81*abs(v) + m*abs(a)*abs(v)"
 GUESS_SD = "30 %"
@@ -218,8 +219,6 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
 def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list[str]) -> None:
     """Least squares of power over all rows, none below zero; the tool's watts only where logs say when it was on."""
     from scipy.optimize import nnls
-
-    from missionsim.logs import read_logs
 
     blocks, targets = [], []
     tables = read_logs(list(logs))

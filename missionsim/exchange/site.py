@@ -18,6 +18,7 @@ from missionsim.exchange.source import Value
 from missionsim.files import atomic_write, fields_of
 from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.robot import RobotSpec
+from missionsim.plan.build import make_plan
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
@@ -335,8 +336,6 @@ class Stop:
 def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
     """Places that a mission passes, in order, and what of it has no place in such a list. Raises InputError: a mission
     without an environment, or that leaves the places of its map."""
-    from missionsim.plan.build import make_plan
-
     environment = mission.environment
     if environment is None or not mission.start:
         allowed = "environment and start"
