@@ -165,7 +165,7 @@ def test_python_interface_computes_in_one_thread_as_the_command_does(
         threads.append({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"})
         raise KeyError(command)
 
-    for home in ("missionsim.inputs.loading", "missionsim.fit.files"):
+    for home in ("missionsim.inputs.loading", "missionsim.fit.files", "missionsim.diagnose.diagnosis"):
         monkeypatch.setattr(f"{home}.load_robot", robot_of)
     call = getattr(interface, command)
     words = {"add_effect": ("pioneer3dx", "grade", "logs"), "improve": ("pioneer3dx", "logs")}
