@@ -16,6 +16,7 @@ from missionsim.diagnose.experiments import Bench, next_experiments
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
+from missionsim.diagnose.meter import with_meter
 from missionsim.diagnose.proposed import as_finding, as_written, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.waterfall import noted
@@ -211,7 +212,7 @@ def diagnose_battery(
     remains = [s for s in found.unexplained.structures if s not in found.averages]
     averages = (*found.averages, *more)
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
-    return noted(
+    made = noted(
         BatteryDiagnosis(
             verdict=decide(effects, remains, found.demoted, law=law, execution=execution, averages=averages),
             effects=effects,
@@ -241,6 +242,7 @@ def diagnose_battery(
             file_clock=subject.model.meter(battery),
         )
     )
+    return with_meter(made, models, held)
 
 
 class Named(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -13,16 +12,18 @@ from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.examine import NO_PRIOR_SD, Examined, Subject, examine, prior_before
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.leftover import fed_note, straight_note
+from missionsim.diagnose.meter import Metered, base_is_off, metered
 from missionsim.diagnose.proposed import as_finding, law_name, with_candidate, with_law
-from missionsim.diagnose.sentences import Asked, base_note
+from missionsim.diagnose.sentences import Asked, advice
 from missionsim.diagnose.split import Split, lacking
-from missionsim.diagnose.waterfall import Step, best_before, by_chance, clearly_better, noise_floor, worse_note
+from missionsim.diagnose.waterfall import Step, by_chance, noise_floor, step_of, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.predictive import least_squares_clock
 from missionsim.identify.settings import Settings
+from missionsim.inputs.edit import Editing
 from missionsim.inputs.loading import robot_from_text
 
 MOST_ROUNDS = 8
@@ -56,6 +57,8 @@ class Improved:
     """Held-out runs that the steps leave out, and the columns that they lack, on which what was added depends."""
     base_alone: bool = False
     """Whether nothing was added, but the base fitted anew, since held-out runs are predicted clearly better so."""
+    late: Metered | None = None
+    """The meter that alone was written, where nothing was added and the base is left as it was."""
     written: tuple[Finding, ...] = ()
     """What was added, as the file has it."""
     asked: Mapping[str, float] = field(default_factory=dict)
@@ -74,6 +77,8 @@ class Improved:
             size = f"({100 * now:.1f} % of the energy{more})".replace("-", "−")
             formula = f", {self.formulas[one.effect]}" if one.effect in self.formulas else ""
             parts.append(f"{one.effect}{formula} {size}")
+        if self.late is not None:
+            return "no effect, the meter alone"
         return ", ".join(parts or self.added) or "nothing"
 
     def to_json(self) -> Json:
@@ -83,6 +88,7 @@ class Improved:
             "written": [one.to_json() for one in self.written],
             "declined": list(self.declined),
             "base_alone": self.base_alone,
+            "meter": self.late and self.late.meter._asdict(),
             "stopped": self.stopped,
             "on_heldout_runs": self.heldout,
             "untested": {run: list(columns) for run, columns in self.untested.items()},
@@ -108,32 +114,7 @@ class Improved:
 
         Both empty where nothing is better; the command alone where the file as it was given is.
         """
-        before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
-        # on the runs that it is fitted to, a base fitted anew is always better
-        _, most_pct = by_chance(self.steps[-1].energy_error_pct, len(self.first.runs))
-        off = self.heldout or before.energy_error_pct > most_pct
-        far = base_note(before, recalibrated) if off and not self.added else ""
-        if not (self.worse or far):
-            return "", ""
-        *bars, last = self.steps[:-1]
-        best = best_before([*bars, last]) if self.worse else 1
-        if self.worse and last.power_rmse_w < bars[best].power_rmse_w:
-            was = before.energy_error_pct <= recalibrated.energy_error_pct
-            less = "as it was" if was else "with its base fitted anew"
-            return f"For the power at each moment the new file is better, for the energy of a run the file {less}.", ""
-        if best == 0:
-            return "The robot file as it was predicts these runs best: leave it as it is.", ""
-        if self.base_alone and far:
-            return f"No effect was added. {far} The file that is written has that base.", ""
-        if far:
-            return f"Nothing was added; the file is as it was. {far}", asked.refit(self.battery, several)
-        if best == 1:
-            told = "The same file with its base fitted anew and nothing added predicts these runs better."
-            return told, asked.refit(self.battery, several)
-        late = self.added[best - 1 :]
-        without = (f"--without {shlex.quote(name)}" for name in late)
-        told = f"The file without {' and '.join(late)} predicts these runs better."
-        return told, asked.typed("improve", asked.options, "--yes", *without)
+        return advice(self, asked, several)
 
 
 @dataclass(frozen=True)
@@ -366,14 +347,19 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         powers[f"+ {taken[-1].effect}"] = made.model
     runs = heldout or models.runs
     errors = {name: models.errors(power, runs) for name, power in powers.items()}
-    steps = [Step(name, one.run_energy_error_pct, one.power_rmse_w) for name, one in errors.items()]
+    steps = [step_of(name, one) for name, one in errors.items()]
     floor_pct, floor_w = noise_floor(last)
     # where much is unexplained the noise holds a part of it, and a model that errs by less shows that (`floor_note`)
     steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
     doubted = last_models.leaning(taken, last_models.fit(taken)) if taken else ()
-    base_alone = bool(heldout) and not taken and clearly_better(steps[-2], steps[0])
+    late = None if taken else metered(models, runs, floor_pct)
+    most_pct = by_chance(floor_pct, len(runs))[1]
+    base_alone = bool(heldout) and not taken and base_is_off(steps[0], steps[-2], late, most_pct)
     if base_alone:
         text, _ = write(end.given, models, (), last_models.fit(()), split)
+    elif late is not None:
+        text = Editing(text).set_meter(battery, late.meter).text
+        steps.insert(-1, late.step)
     return Improved(
         battery,
         text,
@@ -389,6 +375,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         + "".join(f" {one.effect}: {one.doubt}." for one in doubted if one.doubt),
         untested=untested,
         base_alone=base_alone,
+        late=None if base_alone else late,
         written=doubted,
         asked=rounds.asked,
         formulas=rounds.by_law,

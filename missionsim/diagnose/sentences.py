@@ -7,13 +7,16 @@ import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from missionsim.diagnose.waterfall import Step, bars_of, clearly_better, rises, worse_note
+from missionsim.diagnose.waterfall import Step, bars_of, best_before, by_chance, clearly_better, rises, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import Proposal, plain, state
 from missionsim.identify.settings import ODDS_NATS
 from missionsim.numerals import rounded, watts
+
+if TYPE_CHECKING:
+    from missionsim.diagnose.improve import Improved
 
 _SUBJECT = {
     "grade": "Climbing",
@@ -213,6 +216,8 @@ def base_note(before: Step, recalibrated: Step) -> str:
 def errors(battery: BatteryDiagnosis) -> str:
     """What the error on runs that were not used was and is."""
     law = next(iter(battery.proposed_laws), None)
+    if battery.meter:
+        return battery.meter
     if battery.heldout is None:
         if law is None or not math.isfinite(law.left_out_rmse_w[1]):
             return ""
@@ -270,9 +275,45 @@ def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) ->
         return asked.typed("add-effect", "--effect", shlex.quote(told[0].effect), *options)
     if not battery.effects and law is not None and not law.open:
         return asked.typed("add-effect", f'--formula "{law.first.formula}"', *options)
+    if battery.meter:
+        return asked.typed("improve", *options)
     if battery.effects or law is not None or not errors(battery):
         return ""
     return asked.refit(battery.battery, several)
+
+
+def advice(done: Improved, asked: Asked, several: bool = False) -> tuple[str, str]:
+    """What of an improvement is to be told first, in words, and the command for it; see `Improved.advice`."""
+    before, recalibrated = done.steps[0], done.steps[-2 if done.base_alone else 1]
+    # on the runs that it is fitted to, a base fitted anew is always better; with the meter, held-out runs have spoken
+    _, most_pct = by_chance(done.steps[-1].energy_error_pct, len(done.first.runs))
+    off = done.late is None if done.heldout else before.energy_error_pct > most_pct
+    far = base_note(before, recalibrated) if off and not done.added else ""
+    meter = ""
+    if done.late is not None:
+        meter = f"{done.late.told(before, 'runs not used' if done.heldout else 'these runs')} The file that is written "
+        meter += "has that meter, and nothing else is changed."
+    if not (done.worse or far):
+        return meter, ""
+    *bars, last = done.steps[:-1]
+    best = best_before([*bars, last]) if done.worse else 1
+    if done.worse and last.power_rmse_w < bars[best].power_rmse_w:
+        was = before.energy_error_pct <= recalibrated.energy_error_pct
+        less = "as it was" if was else "with its base fitted anew"
+        return f"For the power at each moment the new file is better, for the energy of a run the file {less}.", ""
+    if best == 0:
+        return "The robot file as it was predicts these runs best: leave it as it is.", ""
+    if done.base_alone and far:
+        return f"No effect was added. {far} The file that is written has that base.", ""
+    if far:
+        return f"{meter or 'Nothing was added; the file is as it was.'} {far}", asked.refit(done.battery, several)
+    if best == 1:
+        told = "The same file with its base fitted anew and nothing added predicts these runs better."
+        return told, asked.refit(done.battery, several)
+    late = done.added[best - 1 :]
+    without = (f"--without {shlex.quote(name)}" for name in late)
+    told = f"The file without {' and '.join(late)} predicts these runs better."
+    return told, asked.typed("improve", asked.options, "--yes", *without)
 
 
 def _listed(parts: Sequence[str]) -> str:

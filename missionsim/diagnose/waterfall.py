@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
     from missionsim.identify.findings import BatteryDiagnosis, HeldOut
     from missionsim.identify.proposed import Proposal
+    from missionsim.runs.error import Errors
 
+METER = "meter"
+"""Name of the bar of the file's own model with another meter."""
 SEEN = 0.5
 """A rise by less than this part of the noise floor is not worth a note."""
 SEVERAL = 3.0
@@ -34,10 +37,15 @@ class Step(NamedTuple):
     """One bar of the waterfall: errors of a model on the held-out runs (on the fitted ones where none are held out)."""
 
     name: str
-    """``before``, ``recalibrated``, ``+ <effect>`` or ``noise floor``; of a diagnosis the kind of model."""
+    """``before``, ``recalibrated``, ``+ <effect>``, ``meter`` or ``noise floor``; of a diagnosis the kind of model."""
     energy_error_pct: float
     """Mean over runs of the absolute energy error."""
     power_rmse_w: float
+
+
+def step_of(name: str, errors: Errors) -> Step:
+    """The bar of a model by its errors."""
+    return Step(name, errors.run_energy_error_pct, errors.power_rmse_w)
 
 
 def bars_of(held: HeldOut, laws: Sequence[Proposal] = ()) -> list[Step]:
@@ -93,7 +101,7 @@ def rise_note(name: str, before: Step, after: Step, floor_pct: float, count: int
 
 def energy_note(done: Improved) -> str:
     """`rise_note` of the first step of an improvement that makes the energy error grow; empty where none does."""
-    *steps, floor = done.steps
+    *steps, floor = (step for step in done.steps if step.name != METER)
     count, fitted = len((done.first.heldout or done.first).runs), len(done.first.runs)
     pairs = pairwise(steps[1:])
     notes = (rise_note(f"'{new.name}'", old, new, floor.energy_error_pct, count, fitted) for old, new in pairs)
@@ -131,10 +139,14 @@ def unseen_note(battery: BatteryDiagnosis) -> str:
     )
 
 
+def clearly_less(one: Step, other: Step) -> bool:
+    """Whether one model's power error is less by more than `FAR_SHARE`."""
+    return one.power_rmse_w < (1.0 - FAR_SHARE) * other.power_rmse_w
+
+
 def clearly_better(one: Step, other: Step) -> bool:
     """Whether one model's power error is less by more than `FAR_SHARE` and its energy error no greater."""
-    less = one.power_rmse_w < (1.0 - FAR_SHARE) * other.power_rmse_w
-    return less and one.energy_error_pct <= other.energy_error_pct + SHOWN_PCT
+    return clearly_less(one, other) and one.energy_error_pct <= other.energy_error_pct + SHOWN_PCT
 
 
 def best_before(bars: Sequence[Step]) -> int:

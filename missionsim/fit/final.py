@@ -93,17 +93,22 @@ def final_fit(
         other, raw = _fit(model, ready, prior_sd, clock, replace(settings, period_s=step), fixed, keep_base)
         if raw is not None and raw.names == means.names:
             best = other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
-    found = Meter(clock.delay_s, clock.lag_s)
-    if best.model.meter(battery) == found:
-        return best
-    powers, squares = ready.powers(best.model), dict[Meter, float]()
+    late = late_as_seen(best.model, ready, clock)
+    return best if late is best.model else replace(best, model=late)
+
+
+def late_as_seen(model: PowerModel, ready: Prepared, clock: Clock) -> PowerModel:
+    """The model that shows its power as late and sluggishly as the clock says, where the rows agree better so."""
+    battery, found = ready.battery, Meter(clock.delay_s, clock.lag_s)
+    if model.meter(battery) == found:
+        return model
+    powers, squares = ready.powers(model), dict[Meter, float]()
     for meter in (Meter(), found):
         shown = (run.shown_w(battery, w, meter) for run, w in zip(ready.runs, powers, strict=True))
         errors = (run.measured_w[battery] - w for run, w in zip(ready.runs, shown, strict=True))
         squares[meter] = sum(float(np.nansum(e**2 * run.dt_s)) for run, e in zip(ready.runs, errors, strict=True))
     squares[Meter()] *= 1.0 - CLEARLY
-    meters = {**best.model.meters, battery: min(squares, key=squares.__getitem__)}
-    return replace(best, model=replace(best.model, meters=meters))
+    return replace(model, meters={**model.meters, battery: min(squares, key=squares.__getitem__)})
 
 
 def _fit(

@@ -289,6 +289,8 @@ class BatteryDiagnosis(Findings):
     """Whether the clocks were looked at; else they are as logged."""
     file_clock: tuple[float, float] = (0.0, 0.0)
     """Delay and lag of the meter that the robot file has [s]."""
+    meter: str = ""
+    """In words, that the meter lags otherwise than the file says, where that is all that is wrong."""
 
     @property
     def unnamed(self) -> str:
@@ -326,6 +328,7 @@ class BatteryDiagnosis(Findings):
             "candidates": [candidate.to_json() for candidate in self.candidates],
             "recalibration": [shift.to_json() for shift in self.recalibration],
             "clock": {"delay_s": self.delay_s, "lag_s": self.lag_s, "at_edge": self.clock_at_edge},
+            "meter": self.meter or None,
             "noise": dict(self.noise),
             "untestable": [{"effect": name, "needs": list(needs)} for name, needs in self.untestable.items()],
             "unexplained": self.unexplained.to_json(),

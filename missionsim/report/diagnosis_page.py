@@ -300,7 +300,7 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
     text = "".join(f"{told} " for told in (one.worse, better) if told)
-    what = f"Added: {one.told}" if one.added else "Nothing was added"
+    what = f"Added: {one.told}" if one.added or one.late is not None else "Nothing was added"
     text += (
         f"{what}. The power error on {which} went from "
         f"{rounded(first.power_rmse_w)} to {watts(last.power_rmse_w)}, the energy error from "
