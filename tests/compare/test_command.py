@@ -57,21 +57,20 @@ def test_tolerance_decides_the_exit_code(logs: Path, capsys: pytest.CaptureFixtu
 def test_files_of_a_comparison(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, page = tmp_path / "out", tmp_path / "page.html"
     files = ["--out", str(out), "--report", str(page)]
-    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), *files, "--quiet"]) == 0
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs / "run_00.csv"), *files, "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     assert {path.name for path in out.iterdir()} == {
         "runs.csv",
         "where.csv",
         "terms.csv",
         "power_robot_run_00.png",
-        "power_robot_run_01.png",
         "error_by_covariate_robot.png",
         "error_over_progress_robot.png",
         "error_map_robot.png",
     }
     with open(out / "runs.csv", encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
-    assert [row["run"] for row in rows] == ["run_00", "run_01"]
+    assert [row["run"] for row in rows] == ["run_00"]
     measured, model = float(rows[0]["energy_measured_wh"]), float(rows[0]["energy_model_wh"])
     assert float(rows[0]["energy_error_pct"]) == pytest.approx(100 * (model - measured) / measured)
     for picture in out.glob("*.png"):

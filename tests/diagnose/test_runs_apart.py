@@ -67,7 +67,7 @@ def runs(folder: Path, meter_sd: float, motion_sd: float, offset_w: float = 0.0)
     [
         (0.04, 0.0, 0.0, "nothing_missing"),
         (0.0, 0.09, 0.0, "unexplained_structure"),
-        (0.0, 0.0, 3.0, "unexplained_structure"),
+        pytest.param(0.0, 0.0, 3.0, "unexplained_structure", marks=pytest.mark.long),
     ],
 )
 def test_meters_that_differ_are_no_missing_effect(

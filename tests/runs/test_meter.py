@@ -101,6 +101,7 @@ motion:
 """
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_the_meter_that_was_found_stands_in_the_file_and_compare_shows_the_model_through_it(tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(ROBOT)
