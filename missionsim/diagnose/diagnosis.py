@@ -14,7 +14,7 @@ from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.execution import execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
 from missionsim.diagnose.heldout import Models
-from missionsim.diagnose.leftover import leftover
+from missionsim.diagnose.leftover import goes_with, leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.meter import with_meter
 from missionsim.diagnose.proposed import as_finding, as_written, with_law
@@ -201,6 +201,8 @@ def diagnose_battery(
         shape="; ".join(filter(None, (left.shape, *(s.shape for s in more)))),
         structures=(*left.structures, *more),
     )
+    alike = goes_with(found, features.covariates)
+    effects = tuple(replace(e, remark="; ".join(filter(None, (e.remark, alike.get(e.effect))))) for e in effects)
     # a law that reads what no single named effect reads; else it is the form of that effect, told beside it
     reads = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
     law = any(not any({logged_name(v) for v in one.first.variables} <= own for own in reads) for one in proposed)

@@ -10,19 +10,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Covariates
+from missionsim.effects.covariates import Covariates, is_text
 from missionsim.effects.model import PowerModel
+from missionsim.glossary import column_of
 from missionsim.identify.findings import BatteryDiagnosis, Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
 from missionsim.identify.settings import CLEAR_OF_NOISE, CLEAR_T, MOST_OF_SQUARE, SEVERAL_RUNS, SMALL_TIME
+from missionsim.labels import Labels
 from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
+from missionsim.runs.covariates import COVARIATES, may_be_cause, repeated
 from missionsim.runs.error import errors_of
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
 from missionsim.runs.run import Run
 
 RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
+TWIN = 0.985
+"""Correlation beside the model from which on two columns cost the same."""
 VARIES: Mapping[str, str] = {
     "driving straight": "speed_m_s",
     "turning on the spot": "yaw_rate_rad_s",
@@ -56,6 +61,55 @@ def leftover(found: Identification, covariates: Sequence[Covariates]) -> Structu
     rows = source.averaged(kinds, model.clock) > 0.5  # rows that lie in this kind of motion for the most part
     run_index, sd_w = design.run_index(), found.noise["sd_w"]
     return standing_out(error_w, design.duration_s, run_index, rows, noise_w=sd_w, mean_power_w=found.mean_power_w)
+
+
+def goes_with(found: Identification, covariates: Sequence[Covariates]) -> dict[str, str]:
+    """By effect found, in words, a column that the glossary does not hold and that goes with the effect's own in these
+    runs, so that whichever of them it is, driving would cost the same: rain that fell on the cold days."""
+    model = found.choice.model
+    source, design = model.source, model.design
+    known = [covariates[i] for i in source.kept]
+    twins = repeated(known)
+    names = [n for n in sorted(set.intersection(*({*cov} for cov in known))) if n not in COVARIATES and n not in twins]
+    names = [n for n in names if column_of(n) is None and may_be_cause(n)]
+    owned = {
+        e.effect: [k for k in model.chosen if model.constraints.of_column(k).effect == e.effect] for e in found.effects
+    }
+    root = np.sqrt(design.duration_s)
+    told: dict[str, str] = {}
+    for name in names:
+        rows = _driven_with(name, known)
+        if not rows:
+            continue
+        columns = source.averaged(rows, model.clock) * root
+        for effect, own in owned.items():
+            rest = [k for k in model.chosen if k not in own]
+            beside = np.vstack([design.gradient, design.phi[rest]]) * root
+            basis = np.linalg.svd(beside.T, full_matrices=False)[0]
+            coefficients = model.gram.coefficients(model.chosen)[0]
+            size = np.array([coefficients[model.chosen.index(k)] for k in own])
+            left = [x - (x @ basis) @ basis.T for x in (columns, (size @ design.phi[own] * root)[None, :])]
+            lengths = np.linalg.norm(left[0], axis=1) * np.linalg.norm(left[1])
+            r = np.abs(left[0] @ left[1][0]) / np.maximum(lengths, 1e-300)
+            if np.max(r) > TWIN and effect not in told:
+                told[effect] = f"{name} goes with it in these runs and would cost the same: drive one without the other"
+    return told
+
+
+def _driven_with(name: str, known: Sequence[Covariates]) -> list[Array]:
+    """What a column may make standing, driving and turning cost, in each run at its raw rate, arrays (forms, rows);
+    none where it does not change."""
+    if is_text(known[0][name]):
+        labels = [cov[name] for cov in known if isinstance(cov[name], Labels)]
+        texts = sorted({label.names[int(i)] for label in labels for i in np.unique(label.codes) if i >= 0})
+        of_runs = [np.array([label.equals(text) for text in texts], dtype=float) for label in labels]
+    else:
+        of_runs = [np.atleast_2d(np.nan_to_num(np.asarray(cov[name], dtype=float))) for cov in known]
+    if len(of_runs) < len(known) or not np.ptp(np.hstack(of_runs), axis=1).any():
+        return []
+    speeds = [n for n in ("speed_m_s", "yaw_rate_rad_s") if all(n in cov for cov in known)]
+    times = [[1.0, *(np.abs(np.asarray(cov[n], dtype=float)) for n in speeds)] for cov in known]
+    return [np.vstack([x * many for many in own]) for x, own in zip(of_runs, times, strict=True)]
 
 
 def standing_out(

@@ -104,8 +104,9 @@ _WHOLE = frozenset(
     )
 )
 """Words of what is the whole, or follows it."""
-TWIN = 0.999
-"""Correlation from which on a column is another one in other units."""
+TWIN, TWIN_OF_RUNS = 0.999, 0.99995
+"""Correlation from which on a column is another one in other units; of one that is constant in every run, which a few
+points make: rain that fell on the cold days is no temperature."""
 _ROWS = 20_000
 
 
@@ -137,8 +138,10 @@ def repeated(runs: Sequence[Mapping[str, object]]) -> dict[str, str]:
             others[name] = np.concatenate([one.astype(float) for one in data])[::every]
     found = {}
     for name, own in others.items():
+        constant = all(np.ptp(np.asarray(run[name], dtype=float)) == 0.0 for run in runs)
+        least = TWIN_OF_RUNS if constant else TWIN
         for other, known in theirs.items():
-            if any(abs(_correlation(own, one)) > TWIN for one in (known, np.abs(known))):
+            if any(abs(_correlation(own, one)) > least for one in (known, np.abs(known))):
                 found[name] = other
                 break
     return found

@@ -10,12 +10,15 @@ import pytest
 
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
-from missionsim.diagnose.leftover import fed_note, standing_out, straight_note
+from missionsim.diagnose.leftover import fed_note, goes_with, standing_out, straight_note
 from missionsim.diagnose.split import Split, beyond
+from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.findings import Judged, Structure
+from missionsim.identify.identification import identify
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
+from missionsim.labels import Labels
 from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.runs.motion import MOTIONS
@@ -53,6 +56,32 @@ def test_most_of_the_error_in_little_time_is_told() -> None:
     assert low is not None
     assert "model 12 W too low" in low.shape
     assert left_over(12.0, uneven=0.1) is not None
+
+
+@pytest.mark.parametrize("fell", [(4.0, 4.0, 4.0, 0.0, 0.0, 0.0), (4.0, 0.0, 4.0, 4.0, 0.0, 0.0)])
+@pytest.mark.parametrize("words", [False, True])
+def test_rain_that_fell_on_the_cold_days_alone_may_be_what_the_cold_is_called(
+    fell: tuple[float, ...], words: bool
+) -> None:
+    """Rolling on wet ground was "temperature_friction, sure"; on dry cold days the new file was 17 W off in place of
+    4."""
+    rng, runs, logged = np.random.default_rng(2), [], []
+    for celsius, rain in zip((2.0, 2.8, 3.1, 18.9, 20.0, 20.6), fell, strict=True):
+        speed = np.repeat(rng.uniform(0.0, 1.0, 30), 10)
+        gradient = {"c3": 20.0 * speed, "c4": np.full(300, 15.0)}
+        base, cold = np.sum(list(gradient.values()), axis=0), speed * (21.0 - celsius)
+        fallen = Labels.of(np.repeat("wet" if rain else "dry", 300)) if words else np.full(300, rain)
+        covariates = {"time_s": np.arange(300.0), "speed_m_s": speed, "temp_ambient_c": np.full(300, celsius)}
+        measured = base + 0.5 * cold + rng.normal(0.0, 0.3, 300)
+        logged.append(covariates | {"rain": fallen})
+        time_s, columns = covariates["time_s"], {"cold": cold}
+        runs.append(RunData(f"{celsius}", time_s, np.ones(300), measured, base, gradient, columns, covariates))
+    one = Candidate("temperature_friction", ("cold",), covariate="temp_ambient_c")
+    found = identify(runs, [one], {"c3": 0.05, "c4": 0.05})
+    assert [effect.effect for effect in found.effects] == ["temperature_friction"]
+    told = goes_with(found, logged)
+    assert [*told] == (["temperature_friction"] if fell[1] else [])
+    assert all("rain goes with it in these runs" in words for words in told.values())
 
 
 @pytest.mark.parametrize(
