@@ -36,6 +36,8 @@ SHARPENED = 3
 HALVINGS = 4
 """Best forms of different kinds whose numbers are looked for between those of the grammar, and how often a step is
 halved."""
+SHARPER = 0.95
+"""Part of the error of left-out runs that other numbers must leave at most: among so many, some are better by chance."""
 EXACT = 40
 ABSORBED = 0.93
 NEARLY = 0.7
@@ -242,12 +244,16 @@ class Search:
         return Searched(top, tuple(near)) if near else None
 
     def sharpened(self, done: Searched) -> Searched:
-        """The same with numbers between those of the grammar, where runs that are left out are predicted better so."""
+        """The same with numbers between those of the grammar, where left-out runs are predicted clearly better so."""
         top = done.best
         fits = [top, *(self.fit(form, top.model.noise) for form in self._halved(top, done.near))]
         best = min(fits, key=lambda fit: fit.errors.with_law)
         forms = [one.form for one in done.near] + [fit.form for fit in fits]
-        return done if best is top else Searched(best, tuple(self._exactly(best, forms)))
+        return (
+            done
+            if best.errors.with_law > SHARPER * top.errors.with_law
+            else Searched(best, tuple(self._exactly(best, forms)))
+        )
 
     def _halved(self, top: Fitted, near: Sequence[Scored]) -> list[tuple[int, ...]]:
         """The best forms of different kinds with the numbers at which left-out runs err least, found by halving the way
