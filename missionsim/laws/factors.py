@@ -183,8 +183,12 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
     for name in ("accel_m_s2", "slope_rad"):
         if b.has(name):  # one-sided parts, size and square of what goes both ways
             symbol = SYMBOLS[name]
-            b.add(name, f"max({name}, 0)", f"{symbol}₊")
-            b.add(name, f"max(-{name}, 0)", f"{symbol}₋", gives_back=True)
+            low, high = np.quantile(np.concatenate(b.raw(name)), (0.01, 0.99))
+            # one side alone may be no more than the sensor's noise, which then tells level ground from slopes
+            if high > -NOISE_PART * low:
+                b.add(name, f"max({name}, 0)", f"{symbol}₊")
+            if -low > NOISE_PART * high:
+                b.add(name, f"max(-{name}, 0)", f"{symbol}₋", gives_back=True)
             b.add(name, f"abs({name})", f"|{symbol}|", 1)
             b.add(name, f"{name}**2", f"{symbol}²", 1)
     if b.has("payload_kg"):

@@ -37,7 +37,7 @@ HALVINGS = 4
 """Best forms of different kinds whose numbers are looked for between those of the grammar, and how often a step is
 halved."""
 SHARPER = 0.95
-"""Part of the error of left-out runs that other numbers must leave at most: among so many, some are better by chance."""
+"""Part of the error of left-out runs that other numbers leave at most: of so many, some are better by chance."""
 EXACT = 40
 ABSORBED = 0.93
 NEARLY = 0.7

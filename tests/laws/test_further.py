@@ -73,6 +73,16 @@ def test_noise_about_nought_is_no_sign(lowest: float, powers: bool) -> None:
     assert ("abs(arm_torque)" in read) is (lowest < -1.0)
 
 
+@pytest.mark.parametrize(("lowest", "descends"), [(-0.004, False), (-0.03, True)])
+def test_noise_on_level_ground_is_no_descent(lowest: float, descends: bool) -> None:
+    """A robot that only climbed: "descending costs" held on its own runs, and took further ones, on which it did
+    descend, from 4 to 27 W."""
+    run = drives()[0] | {"slope_rad": np.linspace(lowest, 0.08, 300)}
+    read = {factor.text for factor in make_grammar([run]).factors}
+    assert "max(slope_rad, 0)" in read
+    assert ("max(-slope_rad, 0)" in read) is descends
+
+
 def test_what_takes_a_negative_number_away_adds() -> None:
     wind = drives()[0] | {"headwind_m_s": np.linspace(-4.0, 3.0, 300)}
     read = {factor.text for factor in make_grammar([wind]).factors}
