@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from missionsim.identify.align import Clock
+from missionsim.identify.apart import runs_apart
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95, estimated, pairs
@@ -18,7 +19,7 @@ from missionsim.identify.forward import Choice
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
-from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, runs_apart, wrong_form
+from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, wrong_form
 from missionsim.identify.rules import demoted, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead

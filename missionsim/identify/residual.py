@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.evidence import block_numbers, cause_is_constant, chance_of
+from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
-from missionsim.identify.gram import innovations, project, random_effects
-from missionsim.identify.model import Model, log_likelihood
+from missionsim.identify.gram import innovations, project
+from missionsim.identify.model import Model
 from missionsim.identify.noise import mean_variance
 from missionsim.identify.proposed import plain, unit_of
 from missionsim.identify.settings import (
     CURVE_LEVEL,
     CURVE_NATS,
     CURVE_NATS_ON_RAMPS,
-    FEWEST_FOLDS,
     FEWEST_HATS,
     FEWEST_PEAKS,
     FORM_FAINT,
@@ -29,10 +28,8 @@ from missionsim.identify.settings import (
     GROSS,
     HELD,
     KNOTS,
-    LARGEST_GAIN,
     LINE_RATIO,
     LONG_BLOCK_S,
-    ODDS_NATS,
     PEAKS,
     PERIODIC_LEVEL,
     RAMP,
@@ -40,14 +37,11 @@ from missionsim.identify.settings import (
     RAMP_TAIL_ROWS,
     RAMP_WEIGHT,
     RARE_TIME,
-    SEVERAL_RUNS,
     SLOW_NOISE,
     SLOW_NOISE_S,
     STANDS,
     STEADY_PART,
     SUPPORT_S,
-    UNUSUAL_GAIN,
-    USUAL_GAIN,
 )
 from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
@@ -339,58 +333,3 @@ def stands_without(model: Model, column: int, structure: Structure) -> bool:
     curve, _, _ = test_curve(model, rows, rest)
     both, _, _ = test_curve(model, np.vstack([rows, model.design.phi[column]]), rest)
     return both - curve >= STANDS * own
-
-
-def runs_apart(model: Model) -> tuple[Structure | None, str]:
-    """Runs that differ in what the same motion costs, by several times what meters and drives usually do; or, in words,
-    that the meters of the runs differ.
-
-    By the spread of the runs' gains, not by their size: gains that all runs share are the base model's, however the
-    fit divided them. Where the likelihood says that the motion alone does not explain it, what is drawn at rest differs
-    in the same ratio: so does a meter.
-    """
-    noise, design, constraints = model.noise, model.design, model.constraints
-    mean_w, gain = abs(design.layout.mean_power_w), max(noise.gain, noise.motion_gain)
-    if len(design.runs) < SEVERAL_RUNS or max(gain, noise.offset_w / mean_w) < UNUSUAL_GAIN:
-        return None, ""
-    drawn = random_effects(design, noise, model.chosen)[:, :3] / [mean_w, 1.0, 1.0]
-    offset, size = float(np.std(drawn[:, 0], ddof=1)), float(np.max(np.std(drawn[:, 1:], axis=0, ddof=1)))
-    if max(offset, size) < UNUSUAL_GAIN:
-        return None, ""
-    by = ("at least " if gain > 0.99 * LARGEST_GAIN else "") + f"{100 * size:.2g} %"
-    if offset > size:
-        drawn, size, costs = drawn[:, :1], offset, "it costs"
-        words = f"the runs differ by {watts(offset * mean_w, 2)} ({100 * offset:.2g} % of the power)"
-    else:
-        drawn, costs = drawn[:, 1:], "the same motion costs"
-        of_motion = replace(
-            noise, gain=min(noise.gain, USUAL_GAIN), motion_gain=float(np.hypot(noise.gain, noise.motion_gain))
-        )
-        if log_likelihood(model) - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS:
-            return None, (
-                f"the runs differ by {by} in all that they draw, at rest too: meters that differ, or were set "
-                "differently, do that; check them before two runs are held against each other"
-            )
-        words = f"the runs differ by {by} in what the same motion costs"
-    most, least = (design.names[int(f(drawn.sum(axis=1)))] for f in (np.argmax, np.argmin))
-    words += (
-        ", several times what meters and drives usually do: something that changes from run to run is missing; "
-        f"{costs} most in {most} and least in {least}"
-    )
-    constant = []
-    for number, candidate in enumerate(constraints.candidates):
-        own = np.flatnonzero(constraints.effect == number)
-        acts = np.array([np.any(design.phi[own][:, rows], axis=1) for rows in design.runs])
-        if len(own) and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
-            words += (
-                "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
-            )
-        elif not len(own) or {*own.tolist()} & {*model.chosen} or not cause_is_constant(model, int(own[0])):
-            continue
-        elif len(design.runs) <= max(FEWEST_FOLDS, SEVERAL_RUNS * len(candidate.levels)):  # more would tell
-            constant.append(candidate.effect)
-    if constant:
-        words += (
-            f"; it may be {' or '.join(constant)}, whose cause is constant in runs, of which these are too few to tell"
-        )
-    return Structure("run", 0.0, 0.0, size, words, effects=tuple(constant)), ""

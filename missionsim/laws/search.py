@@ -244,16 +244,16 @@ class Search:
         return Searched(top, tuple(near)) if near else None
 
     def sharpened(self, done: Searched) -> Searched:
-        """The same with numbers between those of the grammar, where left-out runs are predicted clearly better so."""
+        """The same with numbers between those of the grammar, where left-out runs are predicted clearly better so and
+        the likelihood rises too."""
         top = done.best
-        fits = [top, *(self.fit(form, top.model.noise) for form in self._halved(top, done.near))]
+        fits = [self.fit(form, top.model.noise) for form in self._halved(top, done.near)]
+        fits = [fit for fit in fits if fit.rise > top.rise and fit.errors.with_law < SHARPER * top.errors.with_law]
+        if not fits:
+            return done
         best = min(fits, key=lambda fit: fit.errors.with_law)
         forms = [one.form for one in done.near] + [fit.form for fit in fits]
-        return (
-            done
-            if best.errors.with_law > SHARPER * top.errors.with_law
-            else Searched(best, tuple(self._exactly(best, forms)))
-        )
+        return Searched(best, tuple(self._exactly(best, forms)))
 
     def _halved(self, top: Fitted, near: Sequence[Scored]) -> list[tuple[int, ...]]:
         """The best forms of different kinds with the numbers at which left-out runs err least, found by halving the way

@@ -83,6 +83,31 @@ def test_meters_that_differ_are_no_missing_effect(
     assert ("what the same motion costs" in found.unexplained.shape) == (motion_sd > 0.0)
 
 
+def test_what_costs_no_more_at_rest_is_no_meter(tmp_path: Path) -> None:
+    """Friction in rain, beside turns that cost the same: a gain of all came nearer than one of the motion, and was
+    called meters that differ, "at rest too"; nothing was missing."""
+    rng = np.random.default_rng(7)
+    (tmp_path / "own.yaml").write_text(ROBOT)
+    logs = []
+    for number in range(12):
+        speed = np.repeat(rng.choice([0.0, 0.4, 0.8, 1.2], 20), 15)
+        rain = 4.0 * (number % 3 == 0)
+        warm = 20.0 + rng.normal(0.0, 4.0)
+        noise = np.zeros(300)
+        for i in range(1, 300):
+            noise[i] = 0.8 * noise[i - 1] + rng.normal(0.0, 0.3)
+        power = np.where(speed > 0.0, 5.0 + 40.0 * speed + 4.0 * speed**2, 24.0)
+        power = power + 0.7 * rain * (speed > 0.0) * (1.3 - 0.3 * speed)
+        logs.append(tmp_path / f"run{number:02d}.csv")
+        table = np.column_stack([np.arange(300) + 0.5, speed, power + noise, np.full((300, 2), [rain, warm])])
+        header = "time_s,speed_m_s,power_main_w,rain_mm_h,temp_ambient_c"
+        np.savetxt(logs[-1], table, delimiter=",", header=header, comments="", fmt="%.4f")
+    found = diagnose(tmp_path / "own.yaml", logs, holdout="none").batteries["main"]
+    assert "at rest too" not in " ".join(found.remarks)
+    assert found.verdict == "unexplained_structure"
+    assert "from run to run it goes with rain_mm_h" in found.unexplained.shape
+
+
 FLOORS = ("tile", "carpet", "snow", "ice", "grass")
 
 

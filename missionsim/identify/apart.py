@@ -1,0 +1,129 @@
+"""Runs that differ in what they draw, by more than meters and drives usually do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
+from missionsim.identify.data import RunData
+from missionsim.identify.evidence import cause_is_constant
+from missionsim.identify.findings import Structure
+from missionsim.identify.gram import random_effects
+from missionsim.identify.model import Model, log_likelihood
+from missionsim.identify.settings import FEWEST_FOLDS, LARGEST_GAIN, ODDS_NATS, SEVERAL_RUNS, UNUSUAL_GAIN, USUAL_GAIN
+from missionsim.numerals import watts
+from missionsim.physics import Array
+from missionsim.runs.covariates import may_be_cause
+
+HALF = 0.5
+"""Part of what runs differ by that they differ by at rest too, from which on a meter may be it."""
+ALONG, ALONG_LEVEL = 0.9, 0.01
+"""Correlation over the runs from which on what they differ by goes with a column, and the most that chance may have."""
+MOTION = frozenset(("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "moving_time_s", "time_s"))
+"""What any drive has more or less of."""
+REST_S = 10.0
+"""Time at rest in a run that tells what it draws there."""
+
+
+def runs_apart(model: Model) -> tuple[Structure | None, str]:
+    """Runs that differ in what the same motion costs, by several times what meters and drives usually do; or, in words,
+    that the meters of the runs differ.
+
+    By the spread of the runs' gains, not by their size: gains that all runs share are the base model's, however the
+    fit divided them. Where the likelihood says that the motion alone does not explain it, what is drawn at rest differs
+    in the same ratio: so does a meter.
+    """
+    noise, design, constraints = model.noise, model.design, model.constraints
+    mean_w, gain = abs(design.layout.mean_power_w), max(noise.gain, noise.motion_gain)
+    if len(design.runs) < SEVERAL_RUNS or max(gain, noise.offset_w / mean_w) < UNUSUAL_GAIN:
+        return None, ""
+    drawn = random_effects(design, noise, model.chosen)[:, :3] / [mean_w, 1.0, 1.0]
+    offset, size = float(np.std(drawn[:, 0], ddof=1)), float(np.max(np.std(drawn[:, 1:], axis=0, ddof=1)))
+    if max(offset, size) < UNUSUAL_GAIN:
+        return None, ""
+    by = ("at least " if gain > 0.99 * LARGEST_GAIN else "") + f"{100 * size:.2g} %"
+    if offset > size:
+        drawn, size, costs = drawn[:, :1], offset, "it costs"
+        words = f"the runs differ by {watts(offset * mean_w, 2)} ({100 * offset:.2g} % of the power)"
+    else:
+        drawn, costs = drawn[:, 1:], "the same motion costs"
+        of_motion = replace(
+            noise, gain=min(noise.gain, USUAL_GAIN), motion_gain=float(np.hypot(noise.gain, noise.motion_gain))
+        )
+        more = log_likelihood(model) - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS
+        rest = _at_rest(model, drawn.sum(axis=1)) if more else 0.0
+        if more and (rest is None or rest > HALF):
+            too = "" if rest is None else ", at rest too"
+            return None, (
+                f"the runs differ by {by} in all that they draw{too}: meters that differ, or were set "
+                "differently, do that; check them before two runs are held against each other"
+            )
+        words = f"the runs differ by {by} in what the same motion costs"
+    most, least = (design.names[int(f(drawn.sum(axis=1)))] for f in (np.argmax, np.argmin))
+    words += (
+        ", several times what meters and drives usually do: something that changes from run to run is missing; "
+        f"{costs} most in {most} and least in {least}"
+    )
+    if along := _goes_with(model, drawn.sum(axis=1)):
+        words += f"; from run to run it goes with {' and '.join(along)}"
+    constant = []
+    for number, candidate in enumerate(constraints.candidates):
+        own = np.flatnonzero(constraints.effect == number)
+        acts = np.array([np.any(design.phi[own][:, rows], axis=1) for rows in design.runs])
+        if len(own) and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
+            words += (
+                "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
+            )
+        elif not len(own) or {*own.tolist()} & {*model.chosen} or not cause_is_constant(model, int(own[0])):
+            continue
+        elif len(design.runs) <= max(FEWEST_FOLDS, SEVERAL_RUNS * len(candidate.levels)):  # more would tell
+            constant.append(candidate.effect)
+    if constant:
+        words += (
+            f"; it may be {' or '.join(constant)}, whose cause is constant in runs, of which these are too few to tell"
+        )
+    return Structure("run", 0.0, 0.0, size, words, effects=tuple(constant)), ""
+
+
+def _goes_with(model: Model, drawn: Array) -> list[str]:
+    """Columns whose mean of each run goes with what the runs differ by, shape (runs,), the likest first; chance is
+    charged for all."""
+    from scipy.special import stdtr
+
+    runs, count, found = model.source.runs, len(drawn), dict[str, float]()
+    names = [n for n in model.source.covariates if may_be_cause(n) and n not in MOTION]
+    for name in names:
+        means = np.array([float(np.nanmean(run.covariates[name])) for run in runs])
+        if np.ptp(means):
+            r = abs(float(np.corrcoef(means, drawn)[0, 1]))
+            t = r * np.sqrt((count - 2) / max(1.0 - r**2, 1e-12))
+            if 2.0 * float(stdtr(count - 2, -t)) < ALONG_LEVEL / len(names) and r > ALONG:
+                found[name] = r
+    return sorted(found, key=lambda name: -found[name])
+
+
+def _at_rest(model: Model, drawn: Array) -> float | None:
+    """Part of the gain of each run, shape (runs,), with which its power at rest goes; None where few runs rest."""
+    source, design = model.source, model.design
+    if any("speed_m_s" not in run.covariates for run in source.runs):
+        return None
+    still = source.averaged([_still(run)[None, :] for run in source.runs], model.clock)[0] > 0.99
+    gains, ratios = [], []
+    for rows, gain in zip(design.runs, drawn, strict=True):
+        seconds = design.duration_s[rows] * still[rows]
+        expected = float(seconds @ design.base[rows])
+        if seconds.sum() >= REST_S and expected > 0.0:
+            gains.append(float(gain))
+            ratios.append(float(seconds @ design.y[rows]) / expected)
+    if len(gains) < SEVERAL_RUNS or not np.ptp(gains):
+        return None
+    return float(np.polyfit(gains, ratios, 1)[0])
+
+
+def _still(run: RunData) -> Array:
+    """1 where the robot stands, shape (rows,)."""
+    speed, turn = (np.nan_to_num(run.covariates.get(n, np.zeros(1))) for n in ("speed_m_s", "yaw_rate_rad_s"))
+    still = (np.abs(speed) < STILL_SPEED_M_S) & (np.abs(turn) < STILL_YAW_RATE_RAD_S)
+    return np.asarray(np.broadcast_to(still, run.time_s.shape), dtype=float)
