@@ -260,6 +260,8 @@ def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float) -> Ca
         def refit(values: Mapping[str, float]) -> list[Array]:
             return [_column(effect, cov, values) for cov in runs]
 
+    # of a robot whose mass nobody knows the coefficient of what its mass asks for is a mass
+    of_mass, weighed = effect.recovers or effect.asked is not None, "body_mass_kg" in runs[0]
     return Candidate(
         effect.id,
         tuple(f"{effect.id}|{end}" for end in levels or range(len(shape))) or (effect.id,),
@@ -272,8 +274,9 @@ def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float) -> Ca
         covariate=effect.covariate,
         levels=levels,
         by_clock=bool(effect.memory) or effect.impulse is not None,
-        # of a robot whose mass nobody knows the coefficient is a mass
-        plausible=effect.coefficient.plausible if not effect.recovers or "body_mass_kg" in runs[0] else math.inf,
+        plausible=effect.coefficient.plausible if weighed or not of_mass else math.inf,
+        asked=float(effect.asked(runs[0], {})) if effect.asked is not None and weighed else 1.0,
+        beyond=effect.beyond,
         shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape and spec.name in shape[0]},
     )
 

@@ -32,7 +32,8 @@ class ParameterSpec:
     high: float = float("inf")
     """Both: bounds that physics sets."""
     plausible: float = float("inf")
-    """Beyond this a fitted value may stand for something else, and the finding says so."""
+    """Beyond so many times what the robot's mass asks for (`Effect.asked`) a fitted value may stand for something else,
+    and the finding says so."""
     grid: tuple[float, ...] = ()
     """For a shape parameter (τ, T₀): the values that a search tries first. Empty for a coefficient."""
     optional: bool = False
@@ -79,6 +80,10 @@ class Effect:
     """Derived covariates that grow while time passes (``moving_time_s``, ``on_time_<component>_s``)."""
     lags: tuple[Lag, ...] = ()
     """First-order lags that its power reads, by their text."""
+    asked: Callable[[Covariates, Parameters], Value] | None = field(default=None, compare=False)
+    """The coefficient that the robot's mass asks for; 1 where not given."""
+    beyond: str = "times what the robot's mass asks for; either that mass is wrong or something else acts"
+    """In words, what a coefficient beyond all that is plausible is."""
     relief: Callable[[Parameters], Value] | None = field(default=None, compare=False)
     """The part of the drive's power that it can relieve; all of it where not given."""
     parts: tuple[str, ...] = ()

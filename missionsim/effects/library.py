@@ -64,7 +64,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 }
 _ABSENT = {"mass_kg": 1.0}
 """What a covariate counts as where nothing tells it; 0 any other."""
-_PLAIN = ("component", "covariate", "drive", "of_load", "execution", "recovers", "one_sided", "back", "sign")
+_PLAIN = ("component", "covariate", "drive", "of_load", "execution", "recovers", "one_sided", "back", "beyond", "sign")
 
 
 def _called(call: str, needs: Sequence[str]) -> Power:
@@ -123,6 +123,8 @@ def declared(id: str, told: Json) -> Effect:
     if "relief" in told:
         relief = _called(told["relief"], ())
         more["relief"] = lambda p: relief({}, p)
+    if "asked" in told:
+        more["asked"] = _called(told["asked"], ("body_mass_kg",))
     if "parameters" in told:
         specs = specs_of(told["parameters"])
     else:

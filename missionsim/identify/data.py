@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.settings import NEVER_ON_PART, SHAPE_NATS, Settings
+from missionsim.numerals import rounded
 from missionsim.physics import Array
 
 Refit = Callable[[Mapping[str, float]], Sequence[Array]]
@@ -82,7 +83,9 @@ class Candidate:
     unlogged : loads of which nothing tells when they were on and that may be what this effect explains, with their
         power together [W]
     by_clock : whether it goes by time since something began, or by starts: by nothing that a sensor measures
-    plausible : beyond this coefficient the finding says that it may stand for something else
+    plausible : beyond so many times the coefficient ``asked`` the finding says that it may stand for something else
+    asked : the coefficient that the robot's mass asks for
+    beyond : in words, what a coefficient is that many times ``asked``
     never_on : loads whose switch is logged and never on, with their power [W]: an effect of about that size may be one
         of them, and the column stuck
     """
@@ -102,7 +105,14 @@ class Candidate:
     unlogged: tuple[tuple[str, ...], float] = ((), 0.0)
     by_clock: bool = False
     plausible: float = math.inf
+    asked: float = 1.0
+    beyond: str = ""
     never_on: Mapping[str, float] = field(default_factory=dict)
+
+    def much(self, size: float) -> str:
+        """In words, that a coefficient is beyond all that is plausible; empty where it is not."""
+        times = size / self.asked
+        return f"{rounded(times)} {self.beyond}" if times > self.plausible else ""
 
     def may_be(self, size_w: float) -> tuple[str, ...]:
         """The loads of `never_on` that an effect of a size [W] may be."""

@@ -203,8 +203,7 @@ def estimated(
         own, _ = constraints.split(model.chosen, number)
         evidence = [choice.evidence[k] for k in own]
         parameters, reach = _sized(choice, own, sizes)
-        largest = max(p.value for p in parameters.values())
-        much = f"{largest:.2g} times what the robot's mass asks for; either that mass is wrong or something else acts"
+        much = candidate.much(max(p.value for p in parameters.values()))
         shape = shapes.get(candidate.effect, {})
         for name in (n for n in shape if not n.endswith((".low", ".high"))):
             unit = "s" if name.startswith("tau") else ("degC" if name.lower().startswith("t0") else "1")
@@ -232,7 +231,7 @@ def estimated(
                 indistinguishable_from=similar,
                 separation_nats=min(among, default=float("nan")),
                 absorbed=float(absorbed[own].min()),
-                remark=much if largest > candidate.plausible else "",
+                remark=much,
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))

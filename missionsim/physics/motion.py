@@ -34,6 +34,16 @@ def drag_power(speed_m_s: Value, k: Value) -> Value:
     return k * np.abs(speed_m_s) ** 3
 
 
+def drag_of_body(mass_kg: Value) -> Value:
+    """`drag_power`'s k that air asks of a body of some mass [kg/m]: ``½ ρ C_d A``, ρ = 1.2 kg/m³.
+
+    ``C_d A = 0.05 m² · (m / kg)^⅔``: bodies of one density and shape grow with the square of their length, and a person
+    of 75 kg who stands upright has 0.9 m² (Hoerner, Fluid-Dynamic Drag, 1965: 0.5 to 0.9 m²). A car of 1300 kg with its
+    0.65 m² has a tenth of that. Assumed to hold for robots too, which are as dense; those with sails are told anyway.
+    """
+    return 0.5 * 1.2 * 0.05 * np.abs(mass_kg) ** (2.0 / 3.0)
+
+
 def air_drag_power(speed_m_s: Value, density_kg_m3: Value, drag: Value, area_m2: Value) -> Value:
     """`drag_power` with ``½ ρ C_d A`` from its parts."""
     return drag_power(speed_m_s, 0.5 * density_kg_m3 * drag * area_m2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, read_logs
+from missionsim.physics.motion import drag_of_body
 from tests.hidden_effects.study import ALL_CASES
 from tests.hidden_effects.world import make
 from tests.hidden_effects.world import write as write_world
@@ -391,6 +393,24 @@ def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_
     told, command = done.advice(Asked("my.yaml", ["train"]))
     assert ("The file that is written has that base" in told) is bool(held)
     assert ("calibrate" in command) is not bool(held)
+
+
+@pytest.mark.usefixtures("effects_alone")
+@pytest.mark.parametrize("mass", ["9 kg", pytest.param("30 t", marks=pytest.mark.long)])
+def test_what_is_a_hundred_times_the_drag_of_air_on_such_a_body_is_doubted(mass: str) -> None:
+    logs = []
+    for seed in range(5):
+        log = drive(seed, seconds=240.0)
+        logs.append(drawing(log, log.power_w[BATTERY] + 20.0 * log.columns["speed_m_s"] ** 3))
+    text = re.sub(r"mass: \{value: [^,}]+", f"mass: {{value: {mass}", robot_text("pioneer3dx"))
+    found = diagnose_battery(Subject.of(robot_from_text(text)), Split(tuple(logs), (), ""), BATTERY, Settings())
+    (drag,) = (effect for effect in found.effects if effect.effect == "aerodynamic_drag")
+    assert ("times what air asks of a robot of that mass; in water, or" in drag.doubt) is (mass == "9 kg")
+
+
+def test_what_air_asks_of_a_body() -> None:
+    assert drag_of_body(75.0) == pytest.approx(0.5 * 1.2 * 0.9, rel=0.02)  # a person who stands upright
+    assert drag_of_body(1300.0) > 0.5 * 1.2 * 0.65  # a car
 
 
 @pytest.mark.long
