@@ -54,7 +54,7 @@ def with_payload(log: LogTable, payload_kg: float) -> LogTable:
 
 
 def test_a_poor_fit_to_these_very_logs_hides_nothing_and_names_nothing() -> None:
-    logs = [drive(seed, seconds=300.0) for seed in range(5)]
+    logs = [drive(seed, seconds=200.0) for seed in range(4)]
     right = calibrate_new(NewRobot("own", BASE), logs)
     value = {name: p.value for name, p in right.fit.parameters.items()}
     # as if a hidden effect had bent the curve: the square's part has gone to the other two
@@ -69,7 +69,7 @@ def test_a_poor_fit_to_these_very_logs_hides_nothing_and_names_nothing() -> None
 
 
 def test_knowledge_from_elsewhere_stays_a_prior() -> None:
-    logs = [drive(seed, seconds=300.0) for seed in range(3)]
+    logs = [drive(seed, seconds=120.0) for seed in range(3)]
     made = calibrate_new(NewRobot("own", BASE), logs)
     other = made.text.replace(data_tag(logs), "0" * 8)
     own, from_elsewhere = (
@@ -238,7 +238,7 @@ def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
 def test_what_is_seventy_times_its_inertia_is_doubted(mass: str, doubted: bool) -> None:
     logs = []
     for seed in range(4):
-        log = drive(seed, seconds=240.0)
+        log = drive(seed, seconds=160.0)
         speed = log.columns["speed_m_s"]
         power = log.power_w[BATTERY] + 630.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
         logs.append(drawing(log, power))
@@ -330,10 +330,10 @@ def test_a_law_of_what_an_effect_reads_takes_its_place() -> None:
 @pytest.mark.usefixtures("effects_alone")
 def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []
-    for seed in range(5):
-        log = drive(seed, seconds=240.0)
+    for seed in range(4):
+        log = drive(seed, seconds=160.0)
         logs.append(drawing(log, log.power_w[BATTERY] + 20.0 * log.columns["speed_m_s"] ** 3))
-    split = Split(tuple(logs[:4]), (logs[4],), "the last")
+    split = Split(tuple(logs[:3]), (logs[3],), "the last")
 
     def unsure(*args: Any, **named: Any) -> BatteryDiagnosis:
         """As if what is named could not be told from something else."""
