@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from missionsim.identify.settings import Settings
 from missionsim.inputs import edit
 from missionsim.inputs.loading import robot_from_text
 from missionsim.physics.lag import Meter
+from missionsim.runs.covariates import is_switch
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -75,7 +76,7 @@ class Adopted:
         return "" if self.heldout is None else worse_note(bars_of(self.heldout))
 
 
-def check_name(robot: RobotSpec, effect: str) -> None:
+def check_name(robot: RobotSpec, effect: str, logged: Collection[str] | None = None) -> None:
     """Refuse an effect that neither the library nor the robot file knows, before any log is read.
 
     Parameters
@@ -83,6 +84,8 @@ def check_name(robot: RobotSpec, effect: str) -> None:
     robot : RobotSpec
     effect : str
         Id in the library, or name of one of the file's candidates.
+    logged : collection of str, optional
+        Components that the logs switch; where they are not read yet, no component is refused.
 
     Raises
     ------
@@ -91,12 +94,13 @@ def check_name(robot: RobotSpec, effect: str) -> None:
     if any(effect == spec.name for spec in robot.effects):
         return
     family, colon, component = effect.partition(":")
-    if colon and family.startswith("component_") and component not in robot.components:
+    known = None if logged is None else [*robot.components, *sorted({*logged} - robot.components.keys())]
+    if colon and family.startswith("component_") and known is not None and component not in known:
         raise InputError.single(
             f"the robot has no component '{component}'",
             got=effect,
-            allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
-            hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
+            allowed=", ".join(f"{family}:{name}" for name in known) or "a component in the robot file first",
+            hint=f"{family}:{near}" if (near := did_you_mean(component, known)) else "",
         )
     if get_effect(effect, ("",)).execution:
         raise InputError.single(
@@ -157,7 +161,9 @@ def adopt(
             law, seen = replace(law, effect=effect), replace(seen, models=with_law(seen.models, effect, own))
         else:  # of one's own: it has to pass what the library's effects pass
             subject = Subject.of(robot)
-    check_name(robot, effect)
+    check_name(
+        robot, effect, {name[3:] for run in (*split.train, *split.heldout) for name in run.columns if is_switch(name)}
+    )
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
             raise InputError.single(
@@ -211,6 +217,9 @@ def write(
     ]
     for i, _ in reversed(own):
         editing.remove_effect(i)
+    families = (one.effect.partition(":") for one in written if one.effect.startswith("component_"))
+    for name in {part for _, _, part in families} - editing.robot.components.keys():
+        editing.add_component(name, models.battery)
     for one in written:
         parameters = {
             name: {
@@ -279,7 +288,7 @@ def _supported(seen: Examined, named: Named, effect: str) -> tuple[tuple[Finding
     """The effect with everything that it is fitted beside, and why the logs do not support it; empty where they do."""
     if any(one.effect == effect for one in named.effects):
         return named.effects, ""
-    others = [e.effect for e in named.effects if effect not in e.indistinguishable_from]
+    others = [e.effect for e in named.effects if effect not in e.alike]
     features = seen.features
     try:
         fitted = fit_effects(
@@ -291,7 +300,7 @@ def _supported(seen: Examined, named: Named, effect: str) -> tuple[tuple[Finding
     own = [(fitted.library[columns[k].candidate], fitted.choice.evidence[k]) for k in fitted.choice.model.chosen]
     own = [(candidate, evidence) for candidate, evidence in own if candidate.effect == effect]
     right_sign = all(one.sign == 0 or one.sign * evidence.share > 0 for one, evidence in own)
-    is_rival = any(effect in e.indistinguishable_from for e in named.effects)
+    is_rival = any(effect in e.alike for e in named.effects)
     if right_sign and is_rival and any(evidence.accepted for _, evidence in own):
         return fitted.effects, ""
     searched = next(c for c in named.candidates if c.effect == effect)

@@ -34,6 +34,8 @@ _SHOWS = {
 }
 """Manoeuvres that vary a covariate on which the rest depends, for a structure that no effect explains."""
 
+FADES_MIN = 10.0
+"""How long a component has to be on to show whether its power fades: some of the usual time constants (assumed)."""
 ELSEWHERE = "more runs, of other days and routes: what no column shows weighs more here than what one drive could add"
 
 
@@ -121,6 +123,11 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             parts = tuple(part.to_json() for part in one.parts)
             told = f"{one.do}, {form}"
             proposed.append(Experiment(on, told, minutes=one.duration_s / 60.0, manoeuvre=parts))
+    for effect in effects:
+        if effect.other_forms:
+            part = effect.effect.partition(":")[2]
+            do = f"stand still, switch {part} on and leave it on for {FADES_MIN:.0f} min, to see whether it fades"
+            proposed.append(Experiment((effect.effect, *effect.other_forms), do, minutes=FADES_MIN))
     return tuple(proposed)
 
 

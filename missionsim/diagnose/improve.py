@@ -146,7 +146,7 @@ class Rounds:
         self.state = self.library = start
         self.split, self.battery, self.settings, self.ask, self.priors = split, battery, settings, ask, priors
         self.declined: list[str] = []
-        self.alike = [{one.effect, *one.indistinguishable_from} for one in start.seen.found.effects]
+        self.alike = [{one.effect, *one.alike} for one in start.seen.found.effects]
         """What could not be told apart at first; one of these in the file tells no more, nor a law in its place."""
         self.stood_in: set[str] = set()
         """Effects in whose place a law went in."""

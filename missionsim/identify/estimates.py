@@ -211,6 +211,11 @@ def estimated(
             parameters[name] = Estimate(shape[name], low, high, unit)
         share = sum(sizes[k] for k in own)
         similar = _similar(choice, number, sizes)
+        # what a component draws is the component's whether it fades after switching on or not: the plain form is named
+        family, _, part = candidate.effect.partition(":")
+        forms = tuple(name for name in similar if family == "component_power" and name == f"component_warmup:{part}")
+        similar = tuple(name for name in similar if name not in forms)
+        fades = f"it may fade after {part} is switched on ({forms[0]} fits alike)" if forms else ""
         leads = {name: nats for name, (_, nats) in alike.get(candidate.effect, {}).items()}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
@@ -229,9 +234,10 @@ def estimated(
                 gain_nats=max(e.gain for e in evidence),
                 level="identified, repeated across runs" if repeated else "identified",
                 indistinguishable_from=similar,
+                other_forms=forms,
                 separation_nats=min(among, default=float("nan")),
                 absorbed=float(absorbed[own].min()),
-                remark=much,
+                remark="; ".join(filter(None, (much, fades))),
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))

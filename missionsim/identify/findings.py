@@ -90,6 +90,8 @@ class Finding:
     """Both: power error on held-out runs without this effect and with it, base parameters recalibrated both times."""
     indistinguishable_from: tuple[str, ...] = ()
     """Effects that these data cannot tell from it."""
+    other_forms: tuple[str, ...] = ()
+    """Those of them that are the same thing, drawn in another way: a component that fades after switching on."""
     separation_nats: float = float("nan")
     """Expected lead over the best imitation."""
     absorbed: float = float("nan")
@@ -106,6 +108,11 @@ class Finding:
     def is_clear(self) -> bool:
         """Whether these data tell it from every other effect."""
         return not self.indistinguishable_from
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """All that these data cannot tell from it, other forms of the same component too."""
+        return (*self.indistinguishable_from, *self.other_forms)
 
     @property
     def net(self) -> float:
@@ -141,6 +148,7 @@ class Finding:
             "heldout_rmse_before_w": self.heldout_rmse_before_w,
             "heldout_rmse_after_w": self.heldout_rmse_after_w,
             "indistinguishable_from": list(self.indistinguishable_from),
+            "other_forms": list(self.other_forms),
             "separation_nats": self.separation_nats,
             "absorbed_share": self.absorbed,
         }

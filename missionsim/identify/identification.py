@@ -206,7 +206,7 @@ def _judged(
     else:
         limits = choice.forward.smallest_detectable(len(constraints.effect), constraints.settings)
     named = {one.effect for one in effects if one.is_clear}
-    rival_of = {rival: one.effect for one in effects for rival in one.indistinguishable_from if rival not in named}
+    rival_of = {rival: one.effect for one in effects for rival in one.alike if rival not in named}
     out = []
     for number, candidate in enumerate(constraints.candidates):
         name = candidate.effect

@@ -64,6 +64,16 @@ class Editing:
             self._data["effects"] = _node([entry])
         return self
 
+    def add_component(self, name: str, battery: str) -> Editing:
+        """A component that logs switch and the file lacks, so that effects can speak of it; it draws nothing itself."""
+        load = _node([_node({"battery": battery, "power": "0 W"}, flow=True)])
+        entry = _node({"title": f"switched by on_{name} of the logs", "loads": load})
+        if self._data.get("components"):
+            self._data["components"][name] = entry
+        else:
+            self._data["components"] = _node({name: entry})
+        return self
+
     def remove_effect(self, index: int) -> Editing:
         """Without one entry of ``effects:``."""
         del self._data["effects"][index]

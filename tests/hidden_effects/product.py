@@ -52,7 +52,7 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
         if name in names:  # one effect may stand once per surface
             continue
         names.append(name)
-        sets[name] = tuple(found["indistinguishable_from"])
+        sets[name] = (*found["indistinguishable_from"], *found["other_forms"])
         shares[name] = (found["energy_share"], *found["energy_share_interval"])
     held = battery.get("heldout") or {}
     energy = (held.get("energy_error_pct") or {}).get("with_effects", float("nan"))
