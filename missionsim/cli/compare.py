@@ -118,8 +118,8 @@ def calibrate(
         Name of a new robot; needs --base.
     base
         Power while moving as a formula over v (magnitude of the speed), a (its rate), w (yaw rate) and u (sideways
-        speed) with their signs (what both turns cost is abs(w)), theta (slope), m (mass) or log columns, with
-        parameters of your own naming: "c2*v**2 + c3*v + c4".
+        speed) with their signs (what both turns cost is abs(w)), theta (slope), m (mass with payload_kg) or log
+        columns, with parameters of your own naming: "c2*v**2 + c3*v + c4".
     robot
         A robot (shipped name or file) whose parameters are refitted, each with its own prior.
     battery

@@ -129,6 +129,10 @@ class Checker:
             used |= expression.names
             if wrong := dimension_fault(text, {name: parameter.unit for name, parameter in own.items()}):
                 self.add(where, wrong, text[:80], "a power in W, of terms that can be added")
+            mass = next((name for name in ("m", "mass_kg") if name in expression.names and name not in own), None)
+            if mass is not None and "payload_kg" in expression.names - own.keys():
+                message = f"'{mass}' holds the payload already: a formula with payload_kg beside it may count it twice"
+                self.add(where, message, text[:80], f"{mass} alone, or the robot's own mass as a number", warning=True)
             for name in sorted(expression.names):
                 if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
                     continue

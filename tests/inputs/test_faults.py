@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import missionsim
@@ -11,6 +12,9 @@ from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.inputs import check_files, load_mission, load_robot
 from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.power import build_power_model
+from missionsim.runs.drive import drive
+from missionsim.runs.run import Run
 
 ROBOT = """\
 kind: robot
@@ -457,3 +461,29 @@ def test_a_condition_that_no_term_reads_is_told_once(folder: Path) -> None:
         "mission.yaml:8:41: warning: condition 'cpu_lod' costs nothing: no term of robot 'r' reads it\n"
         "    at: segments.0.drive.conditions.cpu_lod\n    got: cpu_lod\n    did you mean: cpu_load"
     ]
+
+
+@pytest.mark.parametrize(
+    ("formula", "mass"),
+    [("(m + payload_kg) * cr * v", "m"), ("cr * v * mass_kg * payload_kg", "mass_kg"), ("cr*m*v", "")],
+)
+def test_a_payload_that_a_formula_counts_twice_is_told(folder: Path, formula: str, mass: str) -> None:
+    text = "kind: robot\nname: r\nbody: {mass: 50 kg, drive: differential, max_speed: 1 m/s}\n"
+    text += "batteries: {main: {capacity: 1 Ah, nominal_voltage: 12 V}}\n"
+    text += f'motion: {{battery: main, model: expression, power: "{formula}", parameters: {{cr: {{value: 0.1}}}}}}\n'
+    (folder / "twice.yaml").write_text(text, encoding="utf-8")
+    told = [str(fault) for fault in check_files([folder / "twice.yaml"])]
+    assert any(f"'{mass}' holds the payload already" in one for one in told) is bool(mass)
+
+
+def test_the_mass_of_a_formula_holds_the_payload() -> None:
+    """As docs/yaml.md says: 50 kg and 20 kg draw 70 W where a kg draws a watt."""
+    text = "kind: robot\nname: r\nbody: {mass: 50 kg, drive: differential, max_speed: 1 m/s}\n"
+    text += "batteries: {main: {capacity: 1 Ah, nominal_voltage: 12 V}}\n"
+    text += 'motion: {battery: main, model: expression, power: "k*m*v", parameters: {k: {value: 1.0}}}\n'
+    model = build_power_model(robot_from_text(text))
+    count, one = 3, np.ones(3)
+    for payload_kg in (0.0, 20.0):
+        columns = {"time_s": np.arange(count) * 1.0, "speed_m_s": one, "payload_kg": payload_kg * one}
+        run = Run("r", columns, one, {"main": one}, {"main": None}, {"main": "power"})
+        assert drive(model, run, "main").row_w("main") == pytest.approx(50.0 + payload_kg)
