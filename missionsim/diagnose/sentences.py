@@ -52,6 +52,9 @@ _PER = {
     "N/K": "W per m/s and K",
 }
 
+HARDLY = 0.1
+"""Part by which levels of a label have to differ to be told as different (assumed)."""
+
 
 def named(effect: Finding) -> str:
     """The library's name of what `missing` told, and whether that is sure; empty where it was told by its name."""
@@ -142,6 +145,8 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     if name.startswith("on_"):
         part = name[3:].replace("_", " ")
         return f"while the {part} is on" if beside else f"the {part}"
+    if levels and beside and _alike(name, formula):
+        return f"({'on' if name == 'surface' else 'with'} {_listed(levels)} hardly otherwise)"
     if len(levels) > 1:
         return f"on {_listed(levels)}, each its own measure," if name == "surface" else f"by {name}"
     if levels:
@@ -151,6 +156,18 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
         fades = "exp(-moving_time_s" in formula
         return ("at first" if fades else "the longer the run lasts") if beside else "the time since the start"
     return f"with {plain(name)}" if beside else plain(name)
+
+
+def _alike(name: str, formula: str) -> bool:
+    """Whether the levels of a label, ``(0.94 + 0.06 * (surface == 'asphalt'))``, hardly differ."""
+    added = rf"[+-] [\d.]+ \* \({name} == '[^']*'\)"
+    found = re.search(rf"\(([\d.]+)((?: {added})+)\)", formula)
+    if found is None:
+        return False
+    base = float(found.group(1))
+    parts = re.findall(r"([+-]) ([\d.]+) \* \(", found.group(2))
+    sizes = [base, *(base + float(sign + size) for sign, size in parts)]
+    return max(sizes) - min(sizes) < HARDLY * max(sizes)
 
 
 def sure(battery: BatteryDiagnosis) -> str:

@@ -19,6 +19,8 @@ MINUTES = (3, 6, 12)
 SEEN_SD = 2.0
 """Standard deviations of the difference of their means that the forms must differ by."""
 POINTS = 41
+SLOWEST = 0.1
+"""Part of a robot's greatest speed below which it is not asked to hold a speed (assumed)."""
 CURVATURE = "curvature_1_m"
 """Name of the limit of a robot that cannot turn on the spot: turn rate in times of its speed."""
 
@@ -51,10 +53,13 @@ def experiment(
     for one in ends:
         name = one[0][0]
         furthest = bounds.get(name, np.inf)
-        one.extend((name, min(end, furthest)) for end in curve.spans.get(name, ()))
+        slowest = SLOWEST * bounds[name] if name == "speed_m_s" and name in bounds else 0.0
+        one.extend((name, min(end, furthest)) for end in curve.spans.get(name, ()) if end == 0.0 or end >= slowest)
     best_w, at, beside = -np.inf, "", ""
     for others in product(*ends):
         can = _can(curve.variable, x, dict(others), bounds)
+        if curve.variable == "speed_m_s":  # at half of it too
+            can = np.logical_and(can, 0.5 * x >= SLOWEST * bounds.get("speed_m_s", 0.0) - 1e-9)
         if not can.any():
             continue
         curves = [law.k * evaluate(law.formula, {**dict(others), curve.variable: x}, len(x)) for law in laws]

@@ -378,3 +378,12 @@ def test_how_the_robot_drove_beside_its_plan_is_told_with_its_scheme() -> None:
     assert "path_stretch in seen: 1.08" in told
     assert "95 % 1.05 to 1.11" in told
     assert told.endswith("+2.0 % of the energy")
+
+
+@pytest.mark.parametrize(("asphalt", "hardly"), [("0.016", True), ("0.06", True), ("0.6", False)])
+def test_levels_that_hardly_differ_are_told_so(asphalt: str, hardly: bool) -> None:
+    """Turning at 0.94, 0.956 and 1.00 of one size was "on asphalt and grass, each its own measure"."""
+    floors = f"(0.94 + {asphalt} * (surface == 'asphalt') + 0.06 * (surface == 'grass'))"
+    told = sentences._law_subject(f"k * abs(yaw_rate_rad_s) * {floors}", ["yaw_rate_rad_s", "surface"])
+    alike, apart = "(on asphalt and grass hardly otherwise)", "on asphalt and grass, each its own measure,"
+    assert told == f"Turning {alike if hardly else apart}"

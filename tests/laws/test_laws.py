@@ -355,6 +355,12 @@ def test_no_drive_asks_for_what_the_robot_cannot() -> None:
     curve = Curve("speed_m_s", "m/s", (0.1, 1.5), (1.0, 15.0), (0.9, 13.0), (1.1, 17.0), {}, 0.5)
     assert experiment(forms, curve, (), noise).startswith("3 min at speed 2.1 m/s")
     assert experiment(forms, curve, (), noise, {"speed_m_s": 1.59}).startswith("3 min at speed 1.5 m/s")
+    # nor what it cannot hold, at half of it too: a tenth of its greatest speed
+    creeps = replace(curve, x=(0.02, 0.3))
+    assert experiment(forms, creeps, (), noise, {"speed_m_s": 1.5}).startswith("3 min at speed 0.41 m/s")
+    slow = [replace(law().first, formula=f"k * {f}", k=10.0) for f in ("max(0.1 - abs(speed_m_s), 0)", "0")]
+    assert experiment(slow, creeps, (), noise).startswith("3 min at speed 0.020 m/s")
+    assert not experiment(slow, creeps, (), noise, {"speed_m_s": 1.5}).startswith("3 min at speed 0.0")
     of = ("k * abs(yaw_rate_rad_s)", "k * abs(yaw_rate_rad_s) * abs(speed_m_s)")
     turns = [replace(law().first, formula=f, k=10.0) for f in of]
     curve = Curve("yaw_rate_rad_s", "rad/s", (0.0, 1.0), (0.0, 9.0), (0.0, 8.0), (0.0, 10.0), {"speed_m_s": 1.0}, 0.5,
