@@ -292,10 +292,10 @@ def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) ->
         return asked.typed("add-effect", "--effect", shlex.quote(told[0].effect), *options)
     if not battery.effects and law is not None and not law.open:
         return asked.typed("add-effect", f'--formula "{law.first.formula}"', *options)
-    if battery.meter:
-        return asked.typed("improve", *options)
     if battery.effects or law is not None or not errors(battery):
         return ""
+    if battery.meter:
+        return asked.typed("improve", *options)
     return asked.refit(battery.battery, several)
 
 
