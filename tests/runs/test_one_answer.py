@@ -170,7 +170,7 @@ def test_speed_tracking_of_compare_and_of_the_diagnosis(root: Path, tmp_path: Pa
 @pytest.mark.usefixtures("effects_alone")
 def test_after_calibrate_improve_takes_its_step_also_with_collinear_parameters(tmp_path: Path) -> None:
     """drag_coefficient and frontal_area act as their product alone: one is fitted, and told."""
-    skid_logs(tmp_path / "logs", 6, 8, 500)
+    skid_logs(tmp_path / "logs", 6, 500)
     text = """kind: robot
 name: hauler
 title: a robot with a traction model
