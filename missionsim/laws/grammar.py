@@ -152,7 +152,8 @@ class Grammar:
         return replace(self, factors=tuple(factors), values=tuple(values)), forms
 
     def unscreened(self, form: Sequence[int]) -> list[list[tuple[int, ...]]]:
-        """The same form with another factor of the same quantity, by kinds of which the first pass has no number."""
+        """The same form with another factor of the same quantity, by kinds that are not its own and of which the first
+        pass has no number; in the order of their numbers."""
         found = []
         for at, i in enumerate(form):
             groups: dict[tuple[str, tuple[float, ...]], list[int]] = {}
@@ -162,7 +163,7 @@ class Grammar:
             found += [
                 [(*form[:at], j, *form[at + 1 :]) for j in group]
                 for group in groups.values()
-                if i not in group and all(self.factors[j].fine for j in group)
+                if all(self.factors[j].fine and self.factors[j].kind != self.factors[i].kind for j in group)
             ]
         return found
 

@@ -7,7 +7,7 @@ evaluated at the raw rate and averaged like every other column.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
@@ -32,7 +32,7 @@ SEEDS = 3
 BENDS = 4
 BENT = 6
 """Best forms whose numbers are varied, and how often."""
-SHARPENED = 3
+SHARPENED = 2
 HALVINGS = 4
 """Best forms of different kinds whose numbers are looked for between those of the grammar, and how often a step is
 halved."""
@@ -258,18 +258,19 @@ class Search:
     def _halved(self, top: Fitted, near: Sequence[Scored]) -> list[tuple[int, ...]]:
         """The best forms of different kinds with the numbers at which left-out runs err least, found by halving the way
         to their neighbours."""
-        unlike: list[tuple[int, ...]] = []
-        for form in self._unlike(one.form for one in near):
-            if not any(self._variables(one) < self._variables(form) for one in unlike):
-                unlike.append(form)
+        # a quantity more was found needless, or would have led
+        told = self._variables(top.form)
+        unlike = [form for form in self._unlike(one.form for one in near) if self._variables(form) <= told]
 
         @cache
         def error(form: tuple[int, ...]) -> float:
             return left_out(self.ground.at_noise(self.ground.extended(self.watts(form)), top.model.noise)).with_law
 
-        unscreened = self.grammar.unscreened(unlike[0]) if unlike else []
         found = []
-        for form in [*unlike[:SHARPENED], *(min(forms, key=error) for forms in unscreened)]:
+        for form in [
+            *unlike[:SHARPENED],
+            *(self._coarsely(forms, error) for forms in self.grammar.unscreened(top.form)),
+        ]:
             best = form
             for _ in range(HALVINGS):
                 self.grammar, more = self.grammar.halfway(best)
@@ -277,6 +278,13 @@ class Search:
             if best != top.form:
                 found.append(best)
         return found
+
+    @staticmethod
+    def _coarsely(forms: Sequence[tuple[int, ...]], error: Callable[[tuple[int, ...]], float]) -> tuple[int, ...]:
+        """The best of forms in the order of their numbers: of every few, then of those beside it."""
+        step = max(1, round(math.sqrt(len(forms) / 2)))
+        at = min(range(0, len(forms), step), key=lambda i: error(forms[i]))
+        return min(forms[max(0, at - step + 1) : at + step], key=error)
 
     def _unlike(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """The first of those that differ in no more than a threshold or a time constant."""
