@@ -184,10 +184,12 @@ def improve(
     return 1 if split.left_out or any(one.worse for one in done) else 0
 
 
-def _read(search: Search, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split]:
-    """Robot, and runs to fit and to test on; says what the checks found."""
+def _read(search: Search, logs: Sequence[Path], to: Output, effect: str | None = None) -> tuple[RobotSpec, Split]:
+    """Robot, and runs to fit and to test on; says what the checks found. Refuses an `effect` that none knows."""
     spec = load_robot(search.robot)
     split = read_split(spec, logs, search.holdout)
+    if effect is not None:
+        check_name(spec, effect, split)
     tell_left_out(split.left_out, to)
     runs = [*split.given, *(run for run in split.heldout if all(run is not one for one in split.given))]
     for line in [] if to.quiet else [*describe(runs), *split.remarks]:
@@ -260,10 +262,10 @@ def add_effect(
             allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
         )
     if effect is not None:
-        check_name(load_robot(search.robot), effect)
+        check_name(load_robot(search.robot), effect)  # a name that is wrong for any log is told at once
     elif formula is not None and not formula.strip().isdigit():
         check_formula(formula)
-    spec, split = _read(search, logs, to)
+    spec, split = _read(search, logs, to, effect)
     measured = list(dict.fromkeys(name for log in split.given for name in log.power_w))
     motors = spec.motion.battery if spec.motion is not None else ""
     chosen = search.battery or (motors if motors in measured else measured[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -76,16 +76,16 @@ class Adopted:
         return "" if self.heldout is None else worse_note(bars_of(self.heldout))
 
 
-def check_name(robot: RobotSpec, effect: str, logged: Collection[str] | None = None) -> None:
-    """Refuse an effect that neither the library nor the robot file knows, before any log is read.
+def check_name(robot: RobotSpec, effect: str, split: Split | None = None) -> None:
+    """Refuse an effect that neither the library nor the robot file nor the logs know.
 
     Parameters
     ----------
     robot : RobotSpec
     effect : str
         Id in the library, or name of one of the file's candidates.
-    logged : collection of str, optional
-        Components that the logs switch; where they are not read yet, no component is refused.
+    split : Split, optional
+        Runs, which may switch components that the file lacks; where none are read yet, no component is refused.
 
     Raises
     ------
@@ -94,7 +94,11 @@ def check_name(robot: RobotSpec, effect: str, logged: Collection[str] | None = N
     if any(effect == spec.name for spec in robot.effects):
         return
     family, colon, component = effect.partition(":")
-    known = None if logged is None else [*robot.components, *sorted({*logged} - robot.components.keys())]
+    known = None
+    if split is not None:
+        runs = (*split.train, *split.heldout)
+        logged = {name.removeprefix("on_") for run in runs for name in run.columns if is_switch(name)}
+        known = [*robot.components, *sorted(logged - robot.components.keys())]
     if colon and family.startswith("component_") and known is not None and component not in known:
         raise InputError.single(
             f"the robot has no component '{component}'",
@@ -161,9 +165,7 @@ def adopt(
             law, seen = replace(law, effect=effect), replace(seen, models=with_law(seen.models, effect, own))
         else:  # of one's own: it has to pass what the library's effects pass
             subject = Subject.of(robot)
-    check_name(
-        robot, effect, {name[3:] for run in (*split.train, *split.heldout) for name in run.columns if is_switch(name)}
-    )
+    check_name(robot, effect, split)
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
             raise InputError.single(
