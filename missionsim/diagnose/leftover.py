@@ -72,27 +72,26 @@ def goes_with(found: Identification, covariates: Sequence[Covariates]) -> dict[s
     twins = repeated(known)
     names = [n for n in sorted(set.intersection(*({*cov} for cov in known))) if n not in COVARIATES and n not in twins]
     names = [n for n in names if column_of(n) is None and may_be_cause(n)]
-    owned = {
-        e.effect: [k for k in model.chosen if model.constraints.of_column(k).effect == e.effect] for e in found.effects
-    }
     root = np.sqrt(design.duration_s)
+    rows = {name: driven for name in names if (driven := _driven_with(name, known))}
+    columns = {name: source.averaged(driven, model.clock) * root for name, driven in rows.items()}
+    sizes = dict(zip(model.chosen, model.gram.coefficients(model.chosen)[0], strict=True))
     told: dict[str, str] = {}
-    for name in names:
-        rows = _driven_with(name, known)
-        if not rows:
-            continue
-        columns = source.averaged(rows, model.clock) * root
-        for effect, own in owned.items():
-            rest = [k for k in model.chosen if k not in own]
-            beside = np.vstack([design.gradient, design.phi[rest]]) * root
-            basis = np.linalg.svd(beside.T, full_matrices=False)[0]
-            coefficients = model.gram.coefficients(model.chosen)[0]
-            size = np.array([coefficients[model.chosen.index(k)] for k in own])
-            left = [x - (x @ basis) @ basis.T for x in (columns, (size @ design.phi[own] * root)[None, :])]
-            lengths = np.linalg.norm(left[0], axis=1) * np.linalg.norm(left[1])
-            r = np.abs(left[0] @ left[1][0]) / np.maximum(lengths, 1e-300)
-            if np.max(r) > TWIN and effect not in told:
+    for effect in (one.effect for one in found.effects if columns):
+        own = [k for k in model.chosen if model.constraints.of_column(k).effect == effect]
+        rest = [k for k in model.chosen if k not in own]
+        basis = np.linalg.svd((np.vstack([design.gradient, design.phi[rest]]) * root).T, full_matrices=False)[0]
+
+        def beside(x: Array, basis: Array = basis) -> Array:
+            return np.asarray(x - (x @ basis) @ basis.T)
+
+        mine = beside(sum(sizes[k] * design.phi[k] for k in own) * root)
+        for name, column in columns.items():
+            theirs = beside(column)
+            lengths = np.linalg.norm(theirs, axis=1) * np.linalg.norm(mine)
+            if np.max(np.abs(theirs @ mine) / np.maximum(lengths, 1e-300)) > TWIN:
                 told[effect] = f"{name} goes with it in these runs and would cost the same: drive one without the other"
+                break
     return told
 
 
@@ -108,7 +107,9 @@ def _driven_with(name: str, known: Sequence[Covariates]) -> list[Array]:
     if len(of_runs) < len(known) or not np.ptp(np.hstack(of_runs), axis=1).any():
         return []
     speeds = [n for n in ("speed_m_s", "yaw_rate_rad_s") if all(n in cov for cov in known)]
-    times = [[1.0, *(np.abs(np.asarray(cov[n], dtype=float)) for n in speeds)] for cov in known]
+    times = [
+        [np.ones(np.shape(cov["time_s"])), *(np.abs(np.asarray(cov[n], dtype=float)) for n in speeds)] for cov in known
+    ]
     return [np.vstack([x * many for many in own]) for x, own in zip(of_runs, times, strict=True)]
 
 
