@@ -15,7 +15,7 @@ from missionsim.diagnose.split import Split, lacking, stretches, with_same_cause
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
-from missionsim.fit.final import CLEARLY, of_formula
+from missionsim.fit.final import of_formula
 from missionsim.fit.parameters import fitted_to, sd_on_other_logs
 from missionsim.identify.align import Clock
 from missionsim.identify.design import TooShortError
@@ -198,19 +198,17 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     untested = lacking(held, [features.effects[effect.effect] for effect in found.effects], batteries, train)
     for run, columns in untested.items():
         remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
-    shown = _clock_of(found)
+    shown = _clock_of(found, min(-run.reading_s(battery) for run in train))
     models = Models(subject.model, battery, features, tuple(train), clock or shown, settings)
     features = replace(features, remarks=(*features.remarks, *remarks))
     tested = tuple(log for log in held if log.run not in untested)
     return Examined(features, found, models, tested, priors, subject.most(features.covariates), shown)
 
 
-def _clock_of(found: Identification) -> Clock:
-    """That of the likelihood, or the one near it at which left-out runs err clearly less by least squares; where the
-    base is far from right, that would stand for what is missing."""
+def _clock_of(found: Identification, earliest_s: float) -> Clock:
+    """That of the likelihood, or the one near it at which left-out runs err less by least squares; where the base is
+    far from right, that would stand for what is missing. `earliest_s`: delay below which it is not looked for."""
     model = found.choice.model
-    seen = model.clock.in_all(len(model.source.runs))
     if found.choice.forward is not None or not model.source.aligned:
-        return seen
-    near = least_squares_clock(model.source, seen, model.chosen)
-    return near if found.error_w2([near]) < (1.0 - CLEARLY) * found.error_w2([seen]) else seen
+        return model.clock.in_all(len(model.source.runs))
+    return least_squares_clock(model.source, model.clock, model.chosen, earliest_s)

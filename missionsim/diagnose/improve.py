@@ -193,7 +193,7 @@ class Rounds:
         self.timed = state
         enough = (1.0 - CLEARLY) * state.models.of_others(state.taken)
         least = min(old.delay_s, *(-run.reading_s(self.battery) for run in state.models.runs))
-        for one in (self.near(new), new):
+        for one in (self.near(new, least), new):
             clock = replace(one, delay_s=max(one.delay_s, least)).in_all(runs)
             if max(abs(clock.delay_s - old.delay_s), abs(clock.lag_s - old.lag_s)) < CLOCK_MOVES_S:
                 continue
@@ -204,10 +204,12 @@ class Rounds:
                 self.settle(*self.together(self.state, state.taken))
                 return
 
-    def near(self, clock: Clock) -> Clock:
+    def near(self, clock: Clock, earliest_s: float) -> Clock:
         """Where least squares errs least near it: that of a base far from right was looked for by coarse steps."""
         choice = self.state.seen.found.choice
-        return clock if choice.forward is None else least_squares_clock(choice.model.source, clock, choice.model.chosen)
+        if choice.forward is None:
+            return clock
+        return least_squares_clock(choice.model.source, clock, choice.model.chosen, earliest_s)
 
     @property
     def as_well(self) -> set[str]:

@@ -24,6 +24,7 @@ from missionsim.identify.settings import (
     HALVED,
     HALVED_LEVEL,
     INDEPENDENT_S,
+    NEAR_LEVEL,
     OFTEN,
     OFTEN_PART,
     ROUGH,
@@ -306,15 +307,28 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
     return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
 
 
-def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int]) -> Clock:
-    """The clock near another, the same in all runs, at which left-out runs err least by least squares, which is how
-    they are compared: between readings of a slow meter the likelihood hardly tells one from another."""
+def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int], earliest_s: float) -> Clock:
+    """The clock near another at which left-out runs err least by least squares, which is how they are compared: between
+    readings of a slow meter the likelihood hardly tells one from another. That other, the same in all runs, where the
+    gain does not repeat over them; `earliest_s`: delay below which it is not looked for, unless it lies there.
+    """
+    from scipy.special import stdtr
+
+    least_s = min(near.delay_s, earliest_s)
 
     def at(delay_s: float, lag_s: float) -> Clock:
         return replace(near, delay_s=delay_s, lag_s=lag_s).in_all(len(source.runs))
 
     @cache
-    def score(delay_s: float, lag_s: float) -> float:
-        return -LeastSquares.of(source.design(at(delay_s, lag_s), chosen)).leave_out(range(len(chosen))).total
+    def left(delay_s: float, lag_s: float) -> Left:
+        return LeastSquares.of(source.design(at(delay_s, lag_s), chosen)).leave_out(range(len(chosen)))
 
-    return at(*uphill(score, (near.delay_s, near.lag_s), 1.0, CLOCK_STEPS, 4, 3))
+    def score(delay_s: float, lag_s: float) -> float:
+        return -left(delay_s, lag_s).total if delay_s >= least_s else -np.inf
+
+    was = (near.delay_s, near.lag_s)
+    best = uphill(score, was, 1.0, CLOCK_STEPS, 4, 3)
+    ratio = np.log(np.maximum(left(*best).square, 1e-300) / np.maximum(left(*was).square, 1e-300))
+    sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
+    repeats = sd > 0.0 and float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) < NEAR_LEVEL
+    return at(*(best if repeats else was))

@@ -365,5 +365,7 @@ NESTED = 1e-6
 """Columns with no more than this part outside the span of others are a special case of them, and no rival."""
 DELAY_LEVEL = 0.01
 """Level of the paired test over runs at which a delay or lag of the meter is taken."""
+NEAR_LEVEL = 0.05
+"""The same of one that lies near what the likelihood has found."""
 SLOW_LEFT = 0.01
 """Part of a bounded noise that may be slow: hardly any, since that is where a missing effect hides."""

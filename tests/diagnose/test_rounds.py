@@ -63,7 +63,7 @@ def rounds(models: Told, seen: Sequence[Sequence[str]], clocks: Sequence[Clock |
 
     made.together = lambda state, effects, surest=0: (list(effects), None)  # type: ignore[method-assign,assignment]
     made.settle = settle  # type: ignore[method-assign]
-    made.near = lambda clock: clock  # type: ignore[method-assign]
+    made.near = lambda clock, _: clock  # type: ignore[method-assign]
     return made
 
 
@@ -172,7 +172,7 @@ def test_a_clock_where_least_squares_errs_least_comes_first(
     models = replace(models, clock=Clock(0.4, 0.0, (0.0, 0.0)))
     clock = Clock(0.2, 0.5, (0.0, 0.0))
     made = rounds(models, [("grade",), (), ()], [models.clock, clock, clock])
-    made.near = lambda clock: replace(clock, delay_s=near[0], lag_s=near[1])  # type: ignore[method-assign]
+    made.near = lambda clock, _: replace(clock, delay_s=near[0], lag_s=near[1])  # type: ignore[method-assign]
     best = made.best().models.clock
     assert (best.delay_s, best.lag_s) == taken_s
 

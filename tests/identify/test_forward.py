@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -495,3 +496,32 @@ def test_few_short_runs_are_cut_nevertheless(runs: int, seconds: int, folds: int
     design = SimpleNamespace(layout=layout, runs=cut, duration_s=ones[0], residual=ones[0], gradient=ones, phi=ones)
     design.y = ones[0]
     assert len(LeastSquares.of(design).sums) == folds
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "earliest_s", "runs", "found_s"),
+    [
+        (0.15, 0.0, (1.0,) * 6, 0.25),  # all err least where the meter is later than was seen
+        (0.15, 0.0, (6.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.1),  # one of six: no clock of the meter
+        (-0.3, 0.0, (1.0,) * 6, 0.0),  # nothing is ahead of the motion
+        (-0.3, -0.2, (1.0,) * 6, -0.2),  # but a meter whose readings stay, by as much as they do
+    ],
+)
+def test_the_clock_near_the_one_of_the_likelihood(
+    monkeypatch: pytest.MonkeyPatch, ahead_s: float, earliest_s: float, runs: tuple[float, ...], found_s: float
+) -> None:
+    """Starts of a legged robot that surge, which the model lacks, asked for a meter 0.7 s ahead of the motion."""
+    near = Clock(0.1, 0.4, (0.05,) * 6)
+    scatter = np.array([1.0, 1.02, 0.98, 1.01, 0.99, 1.0])
+
+    def left(clock: Clock) -> Any:
+        off = (clock.delay_s - near.delay_s - ahead_s) ** 2 + 4.0 * (clock.lag_s - near.lag_s) ** 2
+        square = scatter * (1.0 + np.array(runs) * scatter * off)
+        return SimpleNamespace(leave_out=lambda _: predictive.Left(square, square, square))
+
+    monkeypatch.setattr(predictive.LeastSquares, "of", left)
+    source: Any = SimpleNamespace(runs=range(6), design=lambda clock, _: clock)
+    found = predictive.least_squares_clock(source, near, (), earliest_s)
+    assert found.delay_s == pytest.approx(found_s)
+    assert found.lag_s == pytest.approx(0.4)
+    assert found.run_delay_s == (0.0,) * 6
