@@ -317,7 +317,7 @@ def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int], earl
     least_s = min(near.delay_s, earliest_s)
 
     def at(delay_s: float, lag_s: float) -> Clock:
-        return replace(near, delay_s=delay_s, lag_s=lag_s).in_all(len(source.runs))
+        return replace(near, delay_s=round(delay_s, 3), lag_s=round(lag_s, 3)).in_all(len(source.runs))
 
     @cache
     def left(delay_s: float, lag_s: float) -> Left:
