@@ -23,6 +23,7 @@ from missionsim.importer.mapping import import_source
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_map, robot_from_text
 from missionsim.logs import LogTable, read_logs
+from missionsim.numerals import meter_clock
 
 pytestmark = pytest.mark.usefixtures("examined_once")
 
@@ -83,10 +84,12 @@ def test_what_improve_says_is_left_is_what_diagnose_says_of_its_file(root: Path,
     runs = root / "docs" / "examples" / "ramp_runs"
     split = choose_split(read_logs([runs]))
     made = improve(robot_text("pioneer3dx"), split, "robot", Settings(), lambda one, _: one.effect == "grade")
-    found = diagnose(Subject.of(robot_from_text(made.text)), split).batteries["robot"]
+    subject = Subject.of(robot_from_text(made.text))
+    found = diagnose(subject, split).batteries["robot"]
     assert json.dumps(made.last.to_json()) == json.dumps(found.to_json())
     assert found.unexplained.shape in made.stopped
-    assert "(applied; the file has it 0.30 s ahead of the motion" in dict(report(found))["CLOCK"]
+    file = subject.model.meter("robot")
+    assert f"(applied; the file has it {meter_clock(file.delay_s, file.lag_s)})" in dict(report(found))["CLOCK"]
     # what is told of the slope is what compare sees of it
     (told,) = map(float, re.findall(r"slope .*\(by ([\d.]+) % of the power\)", found.unexplained.shape))
     robot = tmp_path / "improved.yaml"

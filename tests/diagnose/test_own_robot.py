@@ -430,7 +430,8 @@ def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypa
 
     monkeypatch.setattr("missionsim.diagnose.improve.diagnose_battery", hidden)
     done = improve(text, split, BATTERY, Settings(), lambda *_: True)
-    assert done.added[:2] == ("payload", "law_turning")
+    # in whichever order: the law beside payload comes out as it was, so that both states predict alike
+    assert {name.removesuffix("_again") for name in done.added} == {"payload", "law_turning"}
     assert done.steps[-2].power_rmse_w < 0.4 * done.steps[1].power_rmse_w
 
 
