@@ -54,6 +54,14 @@ class Left:
         """Squared error of all folds together [W2 s]."""
         return float(self.square.sum())
 
+    def by_chance(self, other: Left) -> float:
+        """One-sided p-value, paired over folds, of no lower squared error than another; 1 where folds say nothing."""
+        from scipy.special import stdtr
+
+        ratio = np.log(np.maximum(self.square, 1e-300) / np.maximum(other.square, 1e-300))
+        sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
+        return float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) if sd > 0.0 else 1.0
+
     def within(self, other: Left, most: float) -> bool:
         """Whether it errs by less than so many standard errors of the paired difference more than another."""
         behind = self.square - other.square
@@ -274,8 +282,6 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
     Delay and lag together only where they predict better than the best of each alone: opposite ones are a filter
     that smooths the motion, not a meter.
     """
-    from scipy.special import stdtr
-
     still = Clock.as_logged(len(source.runs))
     reach = max(1.0, source.layout.step_s)
 
@@ -297,12 +303,10 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
         steps += [(0, 1), (0, -1)] if points is together or top[1] != 0.0 else []
         finer = [(top[0] + i * 0.1 * reach, max(0.0, top[1] + j * 0.1 * reach)) for i, j in steps]
         top = min([top, *finer], key=lambda place: left(place).total)
-        ratio = np.log(np.maximum(left(top).square, 1e-300) / np.maximum(left(best).square, 1e-300))
-        sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
         # a meter that lags is usual: where that leaves less than half of the squared error, a few folds may disagree
         lags_only = top[0] == 0.0 and left(top).total < HALVED * left(best).total
         level = HALVED_LEVEL if lags_only else DELAY_LEVEL
-        if sd > 0.0 and float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) < level:
+        if left(top).by_chance(left(best)) < level:
             best = top
     return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
 
@@ -312,8 +316,6 @@ def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int], earl
     readings of a slow meter the likelihood hardly tells one from another. That other, the same in all runs, where the
     gain does not repeat over them; `earliest_s`: delay below which it is not looked for, unless it lies there.
     """
-    from scipy.special import stdtr
-
     least_s = min(near.delay_s, earliest_s)
 
     def at(delay_s: float, lag_s: float) -> Clock:
@@ -328,7 +330,4 @@ def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int], earl
 
     was = (near.delay_s, near.lag_s)
     best = uphill(score, was, 1.0, CLOCK_STEPS, 4, 3)
-    ratio = np.log(np.maximum(left(*best).square, 1e-300) / np.maximum(left(*was).square, 1e-300))
-    sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
-    repeats = sd > 0.0 and float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) < NEAR_LEVEL
-    return at(*(best if repeats else was))
+    return at(*(best if left(*best).by_chance(left(*was)) < NEAR_LEVEL else was))
