@@ -41,7 +41,7 @@ from missionsim.identify.verdict import decide
 from missionsim.inputs.loading import load_mission, load_robot
 from missionsim.laws.proposal import REPLACED
 from missionsim.logs import describe
-from missionsim.runs.covariates import logged_name
+from missionsim.runs.covariates import MOTION, logged_name
 from missionsim.runs.drive import drive
 
 if TYPE_CHECKING:
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
 MOST_WHERE = 4
 MOST_SHIFTS = 4
-MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 STANDS_IN = "stood in for a law that the library does not hold"
 OTHER_FACTOR = "a law of its column has a factor that no converter has"
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together, or to more than can be"
@@ -275,7 +274,8 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
         if features.unlogged:
             # loads that nobody logged look like a law of time, temperature or processor load, never like one of motion
             reads = [{name for form in law.laws for name in form.variables} for law in proposed]
-            kept = [bool(own & MOTION) and own <= MOTION | {"payload_kg", "mass_kg"} for own in reads]
+            motion = MOTION | {"slope_rad"}
+            kept = [bool(own & motion) and own <= motion | {"payload_kg", "mass_kg"} for own in reads]
             proposed = tuple(law for law, of_motion in zip(proposed, kept, strict=True) if of_motion)
         if found.choice.forward is not None and {e.effect for e in found.effects} - {*tried}:
             # where the base is far from right, effects that predict come first, unless a law predicts far better, or

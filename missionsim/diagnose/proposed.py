@@ -19,6 +19,7 @@ from missionsim.identify.proposed import Law, Proposal
 from missionsim.inputs import edit
 from missionsim.inputs.loading import robot_from_text
 from missionsim.laws.grammar import unit_of
+from missionsim.runs.covariates import MOTION
 from missionsim.runs.run import Run
 
 _SHORT = {
@@ -35,7 +36,6 @@ _SHORT = {
     "moving_time_s": "moving_time",
 }
 _MOVING = re.compile(r"\(abs\(speed_m_s\) >= [\d.]+ or abs\(yaw_rate_rad_s\) >= [\d.]+\)")
-_OF_DRIVE = frozenset({"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"})
 PROPOSED = "proposed: no effect of the library fits"
 
 
@@ -72,7 +72,7 @@ def with_law(models: Models, name: str, formula: str) -> Models:
     """Models that can hold a law under a name."""
     expression = compile_expression(formula)
     specs = (ParameterSpec("k", unit_of(formula), low=-math.inf if _may_give_back(formula) else 0.0),)
-    effect = expression_term(name, expression, specs, drive=bool(expression.names & _OF_DRIVE))
+    effect = expression_term(name, expression, specs, drive=bool(expression.names & MOTION))
     return replace(models, features=replace(models.features, effects={**models.features.effects, name: effect}))
 
 

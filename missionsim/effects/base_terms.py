@@ -14,6 +14,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import REMEMBERED, Expression
 from missionsim.glossary import column_of
 from missionsim.physics.lag import lagged
+from missionsim.runs.covariates import MOTION
 
 
 def load_term(
@@ -123,9 +124,6 @@ def processor_term(
     return Effect("processor", *text, specs, ("scheme",), power, component="processor")
 
 
-_MOTION = ("speed_m_s", "lateral_speed_m_s", "accel_m_s2", "yaw_rate_rad_s")
-
-
 def motion_expression_terms(
     formula: Expression, standing: Expression | None, parameters: tuple[str, ...]
 ) -> tuple[Effect, Effect]:
@@ -139,7 +137,7 @@ def motion_expression_terms(
     needs = _needs(formula, frozenset(parameters))
 
     def at_rest(cov: Covariates, p: Parameters) -> Any:
-        still = {**cov, **{name: 0.0 * np.asarray(cov[name]) for name in _MOTION if name in cov}}
+        still = {**cov, **{name: 0.0 * np.asarray(cov[name]) for name in MOTION if name in cov}}
         return formula.evaluate({**aliased(still), **p})
 
     def drive(cov: Covariates, p: Parameters) -> Any:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from missionsim.effects.covariates import Columns
+from missionsim.effects.covariates import Columns, is_moving
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.data import RunData
@@ -100,7 +100,8 @@ class Prepared:
             own = {} if columns is None else columns[i]
             watched, fresh = _watched(driven, self.names, self.texts), run.fresh.get(self.battery)
             rows = (run.run, run.time_s, run.dt_s, measured, base_w, slopes, own, watched)
-            found.append(RunData(*rows, fresh=fresh, begin_s=run.begin_s))
+            at_rest = ~np.asarray(is_moving(driven.covariates)) if "speed_m_s" in driven.covariates else None
+            found.append(RunData(*rows, fresh=fresh, begin_s=run.begin_s, at_rest=at_rest))
         return tuple(found)
 
 

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
-from missionsim.identify.data import RunData
 from missionsim.identify.evidence import cause_is_constant
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import random_effects
@@ -15,13 +13,13 @@ from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.settings import FEWEST_FOLDS, LARGEST_GAIN, ODDS_NATS, SEVERAL_RUNS, UNUSUAL_GAIN, USUAL_GAIN
 from missionsim.numerals import watts
 from missionsim.physics import Array
-from missionsim.runs.covariates import may_be_cause
+from missionsim.runs.covariates import MOTION, may_be_cause
 
 HALF = 0.5
 """Part of what runs differ by that they differ by at rest too, from which on a meter may be it."""
 ALONG, ALONG_LEVEL = 0.9, 0.01
 """Correlation over the runs from which on what they differ by goes with a column, and the most that chance may have."""
-MOTION = frozenset(("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "moving_time_s", "time_s"))
+_ANY_DRIVE = MOTION | {"moving_time_s", "time_s"}
 """What any drive has more or less of."""
 REST_S = 10.0
 """Time at rest in a run that tells what it draws there."""
@@ -93,7 +91,7 @@ def _goes_with(model: Model, drawn: Array) -> list[str]:
     from scipy.special import stdtr
 
     runs, count, found = model.source.runs, len(drawn), dict[str, float]()
-    names = [n for n in model.source.covariates if may_be_cause(n) and n not in MOTION]
+    names = [n for n in model.source.covariates if may_be_cause(n) and n not in _ANY_DRIVE]
     for name in names:
         means = np.array([float(np.nanmean(run.covariates[name])) for run in runs])
         if np.ptp(means):
@@ -107,9 +105,10 @@ def _goes_with(model: Model, drawn: Array) -> list[str]:
 def _at_rest(model: Model, drawn: Array) -> float | None:
     """Part of the gain of each run, shape (runs,), with which its power at rest goes; None where few runs rest."""
     source, design = model.source, model.design
-    if any("speed_m_s" not in run.covariates for run in source.runs):
+    rests = [run.at_rest for run in source.runs if run.at_rest is not None]
+    if len(rests) < len(source.runs):
         return None
-    still = source.averaged([_still(run)[None, :] for run in source.runs], model.clock)[0] > 0.99
+    still = source.averaged([rest[None, :].astype(float) for rest in rests], model.clock)[0] > 0.99
     gains, ratios = [], []
     for rows, gain in zip(design.runs, drawn, strict=True):
         seconds = design.duration_s[rows] * still[rows]
@@ -120,10 +119,3 @@ def _at_rest(model: Model, drawn: Array) -> float | None:
     if len(gains) < SEVERAL_RUNS or not np.ptp(gains):
         return None
     return float(np.polyfit(gains, ratios, 1)[0])
-
-
-def _still(run: RunData) -> Array:
-    """1 where the robot stands, shape (rows,)."""
-    speed, turn = (np.nan_to_num(run.covariates.get(n, np.zeros(1))) for n in ("speed_m_s", "yaw_rate_rad_s"))
-    still = (np.abs(speed) < STILL_SPEED_M_S) & (np.abs(turn) < STILL_YAW_RATE_RAD_S)
-    return np.asarray(np.broadcast_to(still, run.time_s.shape), dtype=float)

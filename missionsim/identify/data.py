@@ -33,6 +33,7 @@ class RunData:
     covariates : what the remaining error may depend on (``speed_m_s``, ``yaw_rate_rad_s``, ...)
     fresh : rows at which the power value was really refreshed; None when every row is
     begin_s : when it began [s since 1970]; not a number where that is not known
+    at_rest : rows in which the robot stands; None where nothing tells
     """
 
     run: str
@@ -46,6 +47,7 @@ class RunData:
     _: KW_ONLY
     fresh: NDArray[np.bool_] | None = None
     begin_s: float = math.nan
+    at_rest: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time_s)

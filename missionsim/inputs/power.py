@@ -23,6 +23,7 @@ from missionsim.inputs.segments import SegmentSpec
 from missionsim.inputs.tree import Document, Where
 from missionsim.inputs.values import Parameter
 from missionsim.physics.lag import Meter
+from missionsim.runs.covariates import MOTION
 
 
 def build_power_model(robot: RobotSpec) -> PowerModel:
@@ -116,12 +117,9 @@ def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
         formula = compile_expression(spec.power or "", **place._asdict())
         given = {name: model_parameter(p) for name, p in spec.parameters.items()}
         specs = tuple(ParameterSpec(name, p.unit, low=p.low, high=p.high, default=p.value) for name, p in given.items())
-        drive = not formula.names.isdisjoint(_OF_MOTION)
+        drive = not formula.names.isdisjoint(MOTION | {"v", "a", "w", "u"})
         effect = base_terms.expression_term(spec.name or "", formula, specs, drive=drive)
     return replace(effect, component=spec.component or effect.component, place=place)
-
-
-_OF_MOTION = {"v", "a", "w", "u", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"}
 
 
 def _converted(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...]) -> dict[str, ModelParameter]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from missionsim.labels import Labels
 from missionsim.physics import Array
-from missionsim.runs.covariates import is_switch, may_be_cause
+from missionsim.runs.covariates import MOTION, is_switch, may_be_cause
 from missionsim.runs.run import Run
 
 FEWEST = 3
@@ -18,7 +18,8 @@ BEYOND = 0.25
 usual there (assumed)."""
 NEARLY = 0.25
 """Of what a run is off by, the part that those near it in something are off by too, where that may be why (assumed)."""
-_MOTION = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad", "heading_rad", "time_s")
+_ANY_DRIVE = MOTION | {"slope_rad", "heading_rad", "time_s"}
+"""What differs between any two drives."""
 
 
 def beyond(run: Run, others: Sequence[Run]) -> list[str]:
@@ -78,6 +79,6 @@ def _causes(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Array | Labe
     """Columns of a run that may be why it draws more, but those of motion, and the other runs that have them."""
     for name, data in run.columns.items():
         have = [one for one in others if name in one.columns]
-        sensed = name not in _MOTION and not is_switch(name) and may_be_cause(name)
+        sensed = name not in _ANY_DRIVE and not is_switch(name) and may_be_cause(name)
         if sensed and len(have) >= FEWEST and not _empty(data):
             yield name, data, have

@@ -71,6 +71,8 @@ _ALL = (
     Covariate("starts", "starts from rest", follows="speed_m_s", shown=False),
 )  # fmt: skip
 COVARIATES = {one.name: one for one in _ALL}
+MOTION = frozenset(("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2"))
+"""How the robot itself moves, whatever the ground."""
 
 
 def known(name: str) -> Covariate:

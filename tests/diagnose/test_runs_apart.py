@@ -108,6 +108,33 @@ def test_what_costs_no_more_at_rest_is_no_meter(tmp_path: Path) -> None:
     assert "from run to run it goes with rain_mm_h" in found.unexplained.shape
 
 
+def test_a_robot_that_moves_sideways_does_not_rest(tmp_path: Path) -> None:
+    """Wheels that let it move either way, and a motion that costs more in some runs: rows without forward speed counted
+    as rest, and runs that cost the same at rest were called meters that differ, "at rest too"."""
+    rng = np.random.default_rng(5)
+    motion = """  model: expression
+  power: c2 * (v**2 + u**2) + c3 * hypot(v, u) + c4
+  parameters: {c2: 4 W s^2/m^2, c3: 40 W s/m, c4: 5 W, rest: 24 W}
+  standing: rest
+"""
+    (tmp_path / "own.yaml").write_text(ROBOT[: ROBOT.index("  model")] + motion)
+    logs = []
+    for number in range(12):
+        speed, sideways = np.repeat(rng.choice([0.0, 0.4, 0.8, 1.2], 20), 15), np.repeat(rng.random(20) < 0.7, 15)
+        noise = np.zeros(300)
+        for i in range(1, 300):
+            noise[i] = 0.8 * noise[i - 1] + rng.normal(0.0, 0.3)
+        cost = 1.0 + 0.09 * rng.choice([-1.0, 1.0])
+        power = np.where(speed > 0.0, cost * (5.0 + 40.0 * speed + 4.0 * speed**2), 24.0) + noise
+        logs.append(tmp_path / f"run{number:02d}.csv")
+        table = np.column_stack([np.arange(300) + 0.5, speed * ~sideways, speed * sideways, power])
+        header = "time_s,speed_m_s,lateral_speed_m_s,power_main_w"
+        np.savetxt(logs[-1], table, delimiter=",", header=header, comments="", fmt="%.4f")
+    found = diagnose(tmp_path / "own.yaml", logs, holdout="none").batteries["main"]
+    assert "at rest too" not in " ".join(found.remarks)
+    assert "the runs differ by" in found.unexplained.shape
+
+
 FLOORS = ("tile", "carpet", "snow", "ice", "grass")
 
 
