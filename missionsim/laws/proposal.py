@@ -96,6 +96,12 @@ def _own_meter(ground: Ground) -> set[str]:
     return found
 
 
+def _finer(search: Search, done: Searched) -> tuple[Search, Searched]:
+    """What is found with numbers between those of the grammar, and with levels of a label."""
+    search, done = search.sharpened(done)
+    return by_levels(search, done.best) or (search, done)
+
+
 def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored], Fitted, Gates]:
     """The set of forms, those beside it, the fit of the first, and its gates.
 
@@ -145,8 +151,7 @@ def _propose(
     on_time = search.on_time(done.best)
     if on_time is not search:
         search, done = on_time, on_time.best() or done
-    done = search.sharpened(done)
-    search, done = by_levels(search, done.best) or (search, done)
+    search, done = _finer(search, done)
     near, beside, fitted, seen = _judged(search, done)
     was, told = fitted.errors, all(seen.passed.values())
     # an effect that stands in for the law leaves it too little to show over a few runs
@@ -155,12 +160,11 @@ def _propose(
     if instead:
         # what stood in for the law goes, and the law is looked for once more without it
         search = Search(search.ground.without(instead), grammar, memory)
-        again = search.best()
-        if again is None:
+        done = search.best()
+        if done is None:
             return None
-        again = search.sharpened(again)
-        search, again = by_levels(search, again.best) or (search, again)
-        near, beside, fitted, seen = _judged(search, again)
+        search, done = _finer(search, done)
+        near, beside, fitted, seen = _judged(search, done)
         told = all(seen.passed.values())
     if told:
         # what has the column of a refused effect is that effect; one whose form is in doubt, or that it has replaced,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
@@ -243,41 +244,42 @@ class Search:
             near = self.near(top, listed)
         return Searched(top, tuple(near)) if near else None
 
-    def sharpened(self, done: Searched) -> Searched:
+    def sharpened(self, done: Searched) -> tuple[Search, Searched]:
         """The same with numbers between those of the grammar, where left-out runs are predicted clearly better so and
-        the likelihood rises too."""
+        the likelihood rises too; and the search that knows those numbers."""
         top = done.best
-        fits = [self.fit(form, top.model.noise) for form in self._halved(top, done.near)]
+        finer, halved = self._halved(top, done.near)
+        fits = [finer.fit(form, top.model.noise) for form in halved]
         fits = [fit for fit in fits if fit.rise > top.rise and fit.errors.with_law < SHARPER * top.errors.with_law]
         if not fits:
-            return done
+            return finer, done
         best = min(fits, key=lambda fit: fit.errors.with_law)
         forms = [one.form for one in done.near] + [fit.form for fit in fits]
-        return Searched(best, tuple(self._exactly(best, forms)))
+        return finer, Searched(best, tuple(finer._exactly(best, forms)))
 
-    def _halved(self, top: Fitted, near: Sequence[Scored]) -> list[tuple[int, ...]]:
+    def _halved(self, top: Fitted, near: Sequence[Scored]) -> tuple[Search, list[tuple[int, ...]]]:
         """The best forms of different kinds with the numbers at which left-out runs err least, found by halving the way
-        to their neighbours."""
+        to their neighbours; and the search that knows those numbers."""
+        finer = copy(self)
+        finer._averaged = dict(self._averaged)
         # a quantity more was found needless, or would have led
         told = self._variables(top.form)
         unlike = [form for form in self._unlike(one.form for one in near) if self._variables(form) <= told]
 
         @cache
         def error(form: tuple[int, ...]) -> float:
-            return left_out(self.ground.at_noise(self.ground.extended(self.watts(form)), top.model.noise)).with_law
+            return left_out(self.ground.at_noise(self.ground.extended(finer.watts(form)), top.model.noise)).with_law
 
         found = []
-        for form in [
-            *unlike[:SHARPENED],
-            *(self._coarsely(forms, error) for forms in self.grammar.unscreened(top.form)),
-        ]:
+        others = [self._coarsely(forms, error) for forms in self.grammar.unscreened(top.form)]
+        for form in (*unlike[:SHARPENED], *others):
             best = form
             for _ in range(HALVINGS):
-                self.grammar, more = self.grammar.halfway(best)
+                finer.grammar, more = finer.grammar.halfway(best)
                 best = min([best, *more], key=error)
             if best != top.form:
                 found.append(best)
-        return found
+        return finer, found
 
     @staticmethod
     def _coarsely(forms: Sequence[tuple[int, ...]], error: Callable[[tuple[int, ...]], float]) -> tuple[int, ...]:

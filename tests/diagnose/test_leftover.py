@@ -12,7 +12,7 @@ from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.diagnosis import diagnose_battery
 from missionsim.diagnose.leftover import fed_note, goes_with, standing_out, straight_note
 from missionsim.diagnose.split import Split, beyond
-from missionsim.identify.data import Candidate, RunData
+from missionsim.identify.data import Candidate
 from missionsim.identify.findings import Judged, Structure
 from missionsim.identify.identification import identify
 from missionsim.identify.settings import Settings
@@ -22,6 +22,7 @@ from missionsim.labels import Labels
 from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.runs.motion import MOTIONS
+from tests.laws.found import run_of
 
 from .logs import drawing, drive
 
@@ -69,13 +70,11 @@ def test_rain_that_fell_on_the_cold_days_alone_may_be_what_the_cold_is_called(
     for celsius, rain in zip((2.0, 2.8, 3.1, 18.9, 20.0, 20.6), fell, strict=True):
         speed = np.repeat(rng.uniform(0.0, 1.0, 30), 10)
         gradient = {"c3": 20.0 * speed, "c4": np.full(300, 15.0)}
-        base, cold = np.sum(list(gradient.values()), axis=0), speed * (21.0 - celsius)
+        cold = speed * (21.0 - celsius)
         fallen = Labels.of(np.repeat("wet" if rain else "dry", 300)) if words else np.full(300, rain)
-        covariates = {"time_s": np.arange(300.0), "speed_m_s": speed, "temp_ambient_c": np.full(300, celsius)}
-        measured = base + 0.5 * cold + rng.normal(0.0, 0.3, 300)
-        logged.append(covariates | {"rain": fallen})
-        time_s, columns = covariates["time_s"], {"cold": cold}
-        runs.append(RunData(f"{celsius}", time_s, np.ones(300), measured, base, gradient, columns, covariates))
+        more, temp_c = 0.5 * cold + rng.normal(0.0, 0.3, 300), np.full(300, celsius)
+        runs.append(run_of(celsius, gradient, more, {"cold": cold}, speed_m_s=speed, temp_ambient_c=temp_c))
+        logged.append({**runs[-1].covariates, "rain": fallen})
     one = Candidate("temperature_friction", ("cold",), covariate="temp_ambient_c")
     found = identify(runs, [one], {"c3": 0.05, "c4": 0.05})
     assert [effect.effect for effect in found.effects] == ["temperature_friction"]

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose.proposed import law_name
-from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.identification import identify
 from missionsim.laws.adapter import ground_of
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.proposal import _own_meter, propose
 from missionsim.laws.search import Search
 from missionsim.runs.covariates import may_be_cause, remarks_on, repeated
+
+from .found import identified, law_of, run_of
 
 
 def drives() -> list[dict[str, Any]]:
@@ -143,14 +143,9 @@ def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
         gradient = {"c3": 10.0 * speed, "c4": 3.5 * (speed > 0), "standing": 2.7 * (speed == 0)}
         base = np.sum(list(gradient.values()), axis=0)
         power = base + 8.0 * np.tanh(np.abs(turn) / 0.15)
-        measured = np.interp(time_s - late_s, time_s, power) + 0.3 * rng.standard_normal(1500)
-        covariates = {"speed_m_s": speed, "yaw_rate_rad_s": turn, "time_s": time_s}
-        columns = {"grade": np.zeros(1500)}
-        dt_s = np.full(1500, 0.2)
-        runs.append(RunData(f"{number}", time_s, dt_s, measured, base, gradient, columns, covariates))
-    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05, "standing": 0.05})
-    made = propose(found, [run.covariates for run in runs])
-    assert made is not None
+        more = np.interp(time_s - late_s, time_s, power) + 0.3 * rng.standard_normal(1500) - base
+        runs.append(run_of(number, gradient, more, step_s=0.2, speed_m_s=speed, yaw_rate_rad_s=turn))
+    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
     assert set(made.first.variables) == {"yaw_rate_rad_s"}
     assert made.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
 
@@ -169,13 +164,9 @@ def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -
         v, watt = speed.reshape(-1, 10).mean(axis=1), power.reshape(-1, 10).mean(axis=1)
         measured = 0.104 * np.round((watt + 0.05 * rng.standard_normal(270)) / 0.104)
         gradient = {"c4": 7.0 * (v > 0.0), "c3": 2.0 * v, "standing": 6.3 * (v == 0.0)}
-        time_s, base = np.arange(270) + 0.5, np.sum(list(gradient.values()), axis=0)
-        covariates = {"speed_m_s": v, "camera": camera[5::10].astype(float), "time_s": time_s}
-        columns = {"grade": np.zeros(270)}
-        runs.append(RunData(f"{number}", time_s, np.ones(270), measured, base, gradient, columns, covariates))
-    found = identify(runs, [Candidate("grade", ("grade",))], dict.fromkeys(("c3", "c4", "standing"), 1.0))
-    made = propose(found, [run.covariates for run in runs])
-    assert made is not None
+        more = measured - np.sum(list(gradient.values()), axis=0)
+        runs.append(run_of(number, gradient, more, speed_m_s=v, camera=camera[5::10].astype(float)))
+    made = law_of(runs, c3=1.0, c4=1.0, standing=1.0)
     assert made.first.variables == ("camera",)
     assert made.first.k == pytest.approx(2.2, rel=0.1)
 
@@ -188,14 +179,9 @@ def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
         speed = np.repeat(rng.choice([0.0, 0.1, 0.3], 12), 25)
         load = np.repeat(rng.uniform(0.05, 1.0, 30), 10)
         gradient = {"c3": 4.0 * speed, "c4": np.full(300, 3.0), "cpu_load.k": 1.5 * load}
-        base = np.sum(list(gradient.values()), axis=0)
-        measured = base + 2.0 * np.maximum(load - 0.6, 0.0) + 0.1 * rng.standard_normal(300)
-        covariates = {"speed_m_s": speed, "cpu_load": load, "time_s": np.arange(300) + 0.5}
-        columns = {"grade": np.zeros(300)}
-        runs.append(
-            RunData(f"{number}", np.arange(300) + 0.5, np.ones(300), measured, base, gradient, columns, covariates)
-        )
-    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.5, "c4": 0.5, "cpu_load.k": 1.0})
+        more = 2.0 * np.maximum(load - 0.6, 0.0) + 0.1 * rng.standard_normal(300)
+        runs.append(run_of(number, gradient, more, speed_m_s=speed, cpu_load=load))
+    found = identified(runs, **{"c3": 0.5, "c4": 0.5, "cpu_load.k": 1.0})
     ground = ground_of(found, [run.covariates for run in runs])
     search = Search(ground, make_grammar(ground.covariates, set(), clocks=False))
     form = {search.grammar.text((i,)): (i,) for i in range(len(search.grammar.factors))}
@@ -215,15 +201,9 @@ def test_a_threshold_is_found_between_the_numbers_of_the_grammar() -> None:
         speed = np.repeat(rng.choice([0.0, 0.4, 0.8, 1.5], 15), 20)
         warm = celsius + np.linspace(0.0, 0.4, 300)
         gradient = {"c3": 40.0 * speed, "c4": np.full(300, 60.0)}
-        base = np.sum(list(gradient.values()), axis=0)
-        measured = base + 15.0 * speed * np.maximum(warm - 23.8, 0.0) + 1.5 * rng.standard_normal(300)
-        time_s = np.arange(300) + 0.5
-        covariates = {"speed_m_s": speed, "temp_ambient_c": warm, "time_s": time_s}
-        columns = {"grade": np.zeros(300)}
-        runs.append(RunData(f"{celsius}", time_s, np.ones(300), measured, base, gradient, columns, covariates))
-    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05})
-    made = propose(found, [run.covariates for run in runs])
-    assert made is not None
+        more = 15.0 * speed * np.maximum(warm - 23.8, 0.0) + 1.5 * rng.standard_normal(300)
+        runs.append(run_of(celsius, gradient, more, speed_m_s=speed, temp_ambient_c=warm))
+    made = law_of(runs, c3=0.05, c4=0.05)
     bend = re.fullmatch(r"k \* abs\(speed_m_s\) \* max\(temp_ambient_c - ([\d.]+), 0\)", made.first.formula)
     assert bend is not None
     assert float(bend[1]) == pytest.approx(23.8, abs=0.2)
@@ -252,16 +232,9 @@ def test_drag_goes_by_the_speed_through_the_air(sign: float) -> None:
         wind = np.repeat(rng.uniform(-3.0, 6.0, rows // 60), 60) + 0.1 * rng.standard_normal(rows)
         through = speed + wind
         gradient = {"c3": 20.0 * speed, "c4": 30.0 * (speed > 0), "standing": 25.0 * (speed == 0)}
-        base = np.sum(list(gradient.values()), axis=0)
-        measured = base + 0.9 * speed * through * np.abs(through) + 1.5 * rng.standard_normal(rows)
-        covariates = {"speed_m_s": speed, "along_m_s": sign * wind, "time_s": np.arange(rows) + 0.5}
-        columns = {"grade": np.zeros(rows)}
-        runs.append(
-            RunData(f"{number}", covariates["time_s"], np.ones(rows), measured, base, gradient, columns, covariates)
-        )
-    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05, "standing": 0.05})
-    made = propose(found, [run.covariates for run in runs])
-    assert made is not None
+        more = 0.9 * speed * through * np.abs(through) + 1.5 * rng.standard_normal(rows)
+        runs.append(run_of(number, gradient, more, speed_m_s=speed, along_m_s=sign * wind))
+    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
     through = f"(abs(speed_m_s) {'+' if sign > 0.0 else '-'} along_m_s)"
     assert made.first.formula == f"k * abs(speed_m_s) * {through} * abs{through}"
     assert made.first.k == pytest.approx(0.9, rel=0.03)

@@ -10,12 +10,10 @@ import pytest
 
 from missionsim.diagnose import Subject
 from missionsim.diagnose.diagnosis import diagnose
-from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.identification import identify
 from missionsim.inputs.loading import load_robot
 from missionsim.laws.factors import make_grammar
-from missionsim.laws.proposal import propose
 from tests.diagnose.logs import drawing, drive
+from tests.laws.found import law_of, run_of
 
 
 def test_a_load_that_begins_at_a_speed_is_a_step_and_no_friction() -> None:
@@ -47,15 +45,9 @@ def test_a_step_is_found_where_a_bump_leads() -> None:
     for number in range(6):
         speed = np.repeat(np.where(rng.random(60) < 0.2, 0.0, np.clip(rng.normal(0.95, 0.3, 60), 0.1, 1.5)), 10)
         gradient = {"c3": 60.0 * speed, "c4": 40.0 * (speed > 0.0), "standing": 50.0 * (speed == 0.0)}
-        base = np.sum(list(gradient.values()), axis=0)
-        measured = base + 11.0 * (speed > 0.9) + 1.5 * rng.standard_normal(600)
-        time_s = np.arange(600) + 0.5
-        covariates = {"speed_m_s": speed, "yaw_rate_rad_s": 0.1 * rng.standard_normal(600), "time_s": time_s}
-        columns = {"grade": np.zeros(600)}
-        runs.append(RunData(f"{number}", time_s, np.ones(600), measured, base, gradient, columns, covariates))
-    found = identify(runs, [Candidate("grade", ("grade",))], dict.fromkeys(("c3", "c4", "standing"), 0.05))
-    made = propose(found, [run.covariates for run in runs])
-    assert made is not None
+        more = 11.0 * (speed > 0.9) + 1.5 * rng.standard_normal(600)
+        runs.append(run_of(number, gradient, more, speed_m_s=speed, yaw_rate_rad_s=0.1 * rng.standard_normal(600)))
+    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
     begins = re.fullmatch(r"k \* \(abs\(speed_m_s\) > ([\d.]+)\)", made.first.formula)
     assert begins is not None
     assert float(begins[1]) == pytest.approx(0.9, abs=0.01)

@@ -153,7 +153,7 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
     errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
     fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
-    own.sharpened = lambda done: done
+    own.sharpened = lambda done: (own, done)
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
     for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
@@ -174,7 +174,7 @@ def test_what_a_drift_may_stand_behind_is_no_law(
     errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
     fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
-    own.sharpened = lambda done: done
+    own.sharpened = lambda done: (own, done)
     own.grammar = grammar
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
     for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
