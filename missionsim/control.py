@@ -106,7 +106,6 @@ class PowerPredictor:
         speeds_m_s : array_like, shape (candidates, steps)
             Speed in each step; accelerations follow from one step to the next (the first from the step before it, if
             `start_speed_m_s` is among the covariates).
-        step_s : float
         freq_hz : array_like, optional
             Broadcasts against `speeds_m_s`.
         **covariates

@@ -61,10 +61,8 @@ class FidelityModel:
 
     Parameters
     ----------
-    predictor : PowerPredictor
     speeds_m_s : tuple of float
         Lowest and highest speed.
-    complexity : float
     """
 
     def __init__(self, predictor: PowerPredictor, speeds_m_s: tuple[float, float], complexity: float = 1.0) -> None:
@@ -139,7 +137,6 @@ class AutoFidelity:
 
     Parameters
     ----------
-    predictor : PowerPredictor
     speeds_m_s : tuple of float
         Lowest and highest speed.
     error_pct : float

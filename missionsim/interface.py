@@ -143,7 +143,6 @@ def run(mission: PathLike, *, set: Values | None = None, robot: PathLike | None 
 
     Parameters
     ----------
-    mission : path-like
     set : mapping
         Path → value, such as ``{"defaults.speed": "0.5 m/s"}``.
     robot : str or path-like, optional
@@ -173,7 +172,6 @@ def whatif(
 
     Parameters
     ----------
-    mission : path-like
     vary : mapping
         Path → values; several paths give all combinations.
     """

@@ -248,8 +248,6 @@ class OnlinePredictor:
         ----------
         columns : mapping
             ``time_s``, ``power_<battery>_w`` or voltage and current, ``speed_m_s`` and perhaps ``lateral_speed_m_s``.
-        battery : str
-        every_s : float
 
         Raises
         ------

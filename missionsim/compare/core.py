@@ -94,7 +94,6 @@ def compare(
 
     Parameters
     ----------
-    model : PowerModel
     logs : Runs, files or folders
         One run each; large files are read in blocks.
     robot : RobotSpec, optional
@@ -183,8 +182,6 @@ def compare_files(
 
     Parameters
     ----------
-    robot : str, path-like or RobotSpec
-    logs : files or folders
     mission : path-like, optional
         Mission file that every log is a run of; it is simulated with `robot`.
     by, on_run

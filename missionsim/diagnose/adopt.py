@@ -81,7 +81,6 @@ def check_name(robot: RobotSpec, effect: str, split: Split | None = None) -> Non
 
     Parameters
     ----------
-    robot : RobotSpec
     effect : str
         Id in the library, or name of one of the file's candidates.
     split : Split, optional
@@ -136,8 +135,6 @@ def adopt(
         Its training runs are fitted.
     effect : str
         Id in the library, name of one of the file's candidates, or a formula.
-    battery : str
-    settings : Settings
     formula : bool
         Whether `effect` is a formula, or the number of a form that is proposed.
     force : bool

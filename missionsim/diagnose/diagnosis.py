@@ -78,7 +78,6 @@ def diagnose_files(
         The mission that every log is a drive of.
     battery : str, optional
         Only this one.
-    settings : Settings, optional
 
     Raises
     ------
@@ -109,14 +108,12 @@ def diagnose(
 
     Parameters
     ----------
-    subject : Subject
     logs : sequence of Run, or Split
         Runs, or what is fitted and what is held out of them.
     holdout, battery
         As for `diagnose_files`; of a split nothing else is held out.
     timeline : Timeline, optional
         The simulated mission.
-    settings : Settings, optional
     """
     settings = settings or Settings()
     split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.robot)

@@ -312,9 +312,6 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     ----------
     text : str
         Robot file.
-    split : Split
-    battery : str
-    settings : Settings
     ask : callable
         ``(finding, diagnosis) -> bool``: whether to add it.
     """

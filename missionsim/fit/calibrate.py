@@ -95,7 +95,6 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     ----------
     robot : str or path
         Shipped robot or file.
-    logs : sequence of Run
     battery : str, optional
         Only this one; by default every battery that the logs measure and whose model they can drive.
 

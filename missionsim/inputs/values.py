@@ -34,7 +34,6 @@ YawAcceleration = Annotated[Parameter, QuantityOf("yaw acceleration", 0.0, 1000.
 Mass = Annotated[Parameter, QuantityOf("mass", 0.0, 1e6)]
 BodyMass = Annotated[Parameter, QuantityOf("mass", 0.0, 1e6, strict_low=True)]
 Power = Annotated[Parameter, QuantityOf("power", 0.0, 1e6)]
-Energy = Annotated[Parameter, QuantityOf("energy", 0.0, strict_low=True)]
 Voltage = Annotated[Parameter, QuantityOf("voltage", 0.0, 2000.0, strict_low=True)]
 Resistance = Annotated[Parameter, QuantityOf("resistance", 0.0, 1e6)]
 Duration = Annotated[Parameter, QuantityOf("duration", 0.0, 1e9)]

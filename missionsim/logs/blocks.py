@@ -33,7 +33,6 @@ def iter_blocks(
 
     Parameters
     ----------
-    path : path-like
     rows : int
         Rows of a block (CSV: at least; the last block may be shorter).
     columns : sequence of str, optional
@@ -109,7 +108,6 @@ def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -
 
     Parameters
     ----------
-    log : Run
     path : Path
         Replaced if it exists.
     metadata : mapping, optional

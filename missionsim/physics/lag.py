@@ -151,7 +151,6 @@ def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
         Held from half-way between the rows to half-way [W]; before the first and after the last row as in them.
     time_s : ndarray, shape (n,)
         Increasing [s].
-    meter : Meter
 
     Returns
     -------

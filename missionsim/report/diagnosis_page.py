@@ -79,7 +79,7 @@ def _result(battery: BatteryDiagnosis, asked: Asked | None, several: bool) -> li
     blocks: list[web.Block] = [web.Verdict(words.headline(battery, several), tone), web.Tiles(cards)]
     blocks += [web.Paragraph(told) for told in said]
     if command:
-        blocks.append(web.Command("Type this next", command))
+        blocks.append(web.Command(command))
     elif battery.next_experiments:
         blocks.append(web.Paragraph(f"Drive next: {battery.next_experiments[0].do}."))
     lines = [[heading, text] for heading, text in words.report(battery) if heading != "NOTE"]
@@ -341,7 +341,7 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
             ("Noise floor", f"{power_of_floor(one.steps)} W", "noise, and runs whose meters and drives differ"),
         ]
     )
-    typed = [web.Command("Type this next", command)] if command else []
+    typed = [web.Command(command)] if command else []
     said = [web.Paragraph(line) for line in told if line]
     return [
         web.Verdict(text, tone),

@@ -103,9 +103,8 @@ class Details:
 
 @dataclass(frozen=True)
 class Command:
-    """A line to type, under its heading."""
+    """The line to type next."""
 
-    label: str
     text: str
 
 

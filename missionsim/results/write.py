@@ -158,7 +158,6 @@ def write_results(result: RunResult, folder: str | Path, format: Format = "csv")
 
     Parameters
     ----------
-    result : RunResult
     folder : path-like
         Made if it is not there.
     format : str
