@@ -156,11 +156,11 @@ def _propose(
     was, told = fitted.errors, all(seen.passed.values())
     # an effect that stands in for the law leaves it too little to show over a few runs
     fails = [gate for gate, passed in seen.passed.items() if not passed]
-    instead = _replaced(fitted, search) if fails in ([], ["blocks"]) else ()
+    instead, done = _replaced(fitted, search) if fails in ([], ["blocks"]) else ((), None)
     if instead:
         # what stood in for the law goes, and the law is looked for once more without it
         search = Search(search.ground.without(instead), grammar, memory)
-        done = search.best()
+        done = done or search.best()
         if done is None:
             return None
         search, done = _finer(search, done)
@@ -254,12 +254,15 @@ def _law(one: Scored, first: Scored, fitted: Fitted, relative: float, search: Se
     )
 
 
-def _replaced(fitted: Fitted, search: Search) -> tuple[str, ...]:
+def _replaced(fitted: Fitted, search: Search) -> tuple[tuple[str, ...], Searched | None]:
     """Effects that stood in for the law: with it they hardly act any more, or look like it, shrink, and predict runs
-    that are left out no better beside it, or look like it, and a law in the place of both predicts those better."""
-    ground = search.ground
+    that are left out no better beside it, or look like it, and a law in the place of both predicts those better.
+
+    With what is found without them all, where that had to be looked for.
+    """
+    ground, looked = search.ground, dict[tuple[str, ...], Searched | None]()
     if not ground.chosen:
-        return ()
+        return (), None
     before, _ = ground.model.gram.coefficients(ground.chosen)
     after, _ = fitted.model.gram.coefficients(fitted.model.chosen)
     law = fitted.watts / max(float(np.linalg.norm(fitted.watts)), 1e-300)
@@ -284,10 +287,10 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[str, ...]:
                 out.append(name)
                 continue
         # of a wrong form beside what is left of it
-        other = alone.best()
+        looked[(*out, name)] = other = alone.best()
         if other is not None and other.best.errors.with_law < LEADS * fitted.errors.with_law:
             out.append(name)
-    return tuple(out)
+    return tuple(out), looked.get(tuple(out))
 
 
 def _twin(fitted: Fitted, ground: Ground, found: Identification) -> str:

@@ -327,7 +327,10 @@ def test_what_stood_in_for_a_law_goes(
     monkeypatch.setattr(proposal, "Search", lambda *_: alone)
     fitted = SimpleNamespace(model=model(now, 0.3), watts=law, errors=SimpleNamespace(with_law=1.0), form=(0,))
     search = SimpleNamespace(ground=ground, grammar=None, memory=False)
-    assert proposal._replaced(fitted, search) == (("scrub",) if gone else ())
+    names, found = proposal._replaced(fitted, search)
+    assert names == (("scrub",) if gone else ())
+    # what was found in the place of both is not looked for again
+    assert (found is not None) == (gone and anew < 0.9)
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,13 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
     own.sharpened = lambda done: (own, done)
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
-    for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
+    for name, answer in (
+        ("by_levels", None),
+        ("_replaced", ((), None)),
+        ("_law", LAW),
+        ("_curve", None),
+        ("_twin", ""),
+    ):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
     for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
         monkeypatch.setattr(proposal, "_judged", lambda *_, sd=scatter: ([None], [], fitted, Gates(sd, {})))
@@ -177,7 +183,13 @@ def test_what_a_drift_may_stand_behind_is_no_law(
     own.sharpened = lambda done: (own, done)
     own.grammar = grammar
     monkeypatch.setattr(proposal, "Search", lambda *_: own)
-    for name, answer in (("by_levels", None), ("_replaced", ()), ("_law", LAW), ("_curve", None), ("_twin", "")):
+    for name, answer in (
+        ("by_levels", None),
+        ("_replaced", ((), None)),
+        ("_law", LAW),
+        ("_curve", None),
+        ("_twin", ""),
+    ):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
     near = Scored(form, 90.0, 0.2, 90.0)
     monkeypatch.setattr(proposal, "_judged", lambda *_: ([near], [], fitted, Gates(0.01, {})))
