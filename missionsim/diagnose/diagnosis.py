@@ -53,6 +53,8 @@ MOST_SHIFTS = 4
 STANDS_IN = "stood in for a law that the library does not hold"
 OTHER_FACTOR = "a law of its column has a factor that no converter has"
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together, or to more than can be"
+NO_OTHER_FORM = "no other form of what it reads does better"
+BESIDE_MORE = "something else remains, which may have its size or its place"
 
 
 def diagnose_files(
@@ -209,10 +211,11 @@ def diagnose_battery(
     unexplained = found.unexplained if found.verdict == "unexplained_structure" else None
     remains = [s for s in found.unexplained.structures if s not in found.averages]
     averages = (*found.averages, *more)
+    doubted = [name for name in found.demoted if name not in {effect.effect for effect in effects}]
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     made = noted(
         BatteryDiagnosis(
-            verdict=decide(effects, remains, found.demoted, law=law, execution=execution, averages=averages),
+            verdict=decide(effects, remains, doubted, law=law, execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,
@@ -278,7 +281,11 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
             # where the base is far from right, effects that predict come first, unless a law predicts far better, or
             # better in the place of one of them
             proposed = tuple(law for law in proposed if law.far_better or law.takes_over)
-    effects = tuple(e for e in found.effects if not any(e.effect in law.instead_of for law in proposed))
+    same = {law.effect for law in proposed if not law.open}
+    # a law that has no other form than an effect put in doubt by what is left: it is that effect
+    again = tuple(replace(e, remark=BESIDE_MORE) for e in found.doubted if e.effect in same and e.is_clear)
+    proposed = () if again else proposed
+    effects = tuple(e for e in found.effects if not any(e.effect in law.instead_of for law in proposed)) + again
     if effects and proposed:
         law = as_finding(proposed[0])
         beside = with_law(models, law.effect, law.effect)
@@ -310,7 +317,11 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
     for one in found.candidates:
         gone = STANDS_IN if one.effect in stood_in else OTHER_FACTOR if one.effect in of_watts else ""
         gone = gone or (NOTHING_LEFT if one.accepted and one.effect not in named else "")
-        candidates.append(replace(one, accepted=False, open=True, reason=gone) if gone else one)
+        if gone:
+            one = replace(one, accepted=False, open=True, reason=gone)
+        elif one.effect in {effect.effect for effect in again}:
+            one = replace(one, accepted=True, open=False, doubtful_share=None, reason=NO_OTHER_FORM)
+        candidates.append(one)
     return Named(effects, tuple(candidates), proposed, fitted, written[0][1] if written else fitted)
 
 

@@ -183,6 +183,22 @@ class Rounds:
         # what came later, or was looked for once more, may predict other runs less well
         return best[1] if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0] else self.state
 
+    def finished(self) -> tuple[State, Subject, BatteryDiagnosis]:
+        """The best state, its robot, and what `diagnose` says of that; if it names more, what comes of that."""
+        made, last = self.as_written(end := self.best())
+        if end.taken and self.named(last):
+            self.state = replace(end, last=last)
+            made, last = self.as_written(end := self.best())
+        return end, made, last
+
+    def as_written(self, state: State) -> tuple[Subject, BatteryDiagnosis]:
+        """The robot of a file, and what `diagnose` says of it: it knows nothing of the base beside these logs."""
+        made = Subject.of(robot_from_text(state.text))
+        if not state.taken:
+            return made, state.last
+        seen = state.seen.known_as(made, self.split)
+        return made, diagnose_battery(made, self.split, self.battery, self.settings, seen=seen)
+
     def reclock(self) -> None:
         """Go on at the clock that is seen beside what was added, if left-out runs say so. No meter is ahead of the
         motion but one whose readings stay, by what they stay for."""
@@ -217,14 +233,16 @@ class Rounds:
         inside = {effect.effect for effect in self.state.taken}
         return inside.union(*(names for names in self.alike if names & (inside | self.stood_in)))
 
+    def named(self, seen: BatteryDiagnosis) -> list[Finding]:
+        """What a diagnosis names that was neither added nor declined, nor could be told from what was."""
+        # what came to nothing beside some may be something beside others
+        known = {*(name for name, n in self.nothing.items() if n > 1), *self.as_well, *self.declined}
+        return [effect for effect in seen.effects if effect.is_clear and effect.effect not in known]
+
     def of_library(self) -> bool:
         """Add what the library names anew; whether there was something."""
-        # what came to nothing beside some may be something beside others
         state, new = self.state, []
-        known = {*(name for name, n in self.nothing.items() if n > 1), *self.as_well}
-        for effect in state.last.effects:
-            if not effect.is_clear or effect.effect in (*self.declined, *known):
-                continue
+        for effect in self.named(state.last):
             if self.ask(effect, state.last):
                 new.append(effect)
                 self.asked.setdefault(effect.effect, effect.net)
@@ -327,11 +345,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         priors = dict.fromkeys(priors, NO_PRIOR_SD)
     first = diagnose_battery(start, split, battery, settings, seen=seen)
     rounds = Rounds(State(text, text, seen.models, seen, first), split, battery, settings, ask, priors)
-    end = rounds.best()
-    text, models, last, taken = end.text, end.models, end.last, end.taken
-    made = Subject.of(robot_from_text(text)) if taken else start
-    if taken:  # what `diagnose` says of the file: it knows nothing of the base beside these logs
-        last = diagnose_battery(made, split, battery, settings, seen=end.seen.known_as(made, split))
+    end, made, last = rounds.finished()
+    text, models, taken = end.text, end.models, end.taken
     added = [term.effect for term in made.model.of(battery) if not term.base]
     measured = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(measured, added, start.model.batteries, models.runs)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.evidence import cause_is_constant
+from missionsim.identify.evidence import REST_S, cause_is_constant, seconds_at_rest
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import random_effects
 from missionsim.identify.model import Model, log_likelihood
@@ -21,8 +21,6 @@ ALONG, ALONG_LEVEL = 0.9, 0.01
 """Correlation over the runs from which on what they differ by goes with a column, and the most that chance may have."""
 _ANY_DRIVE = MOTION | {"moving_time_s", "time_s"}
 """What any drive has more or less of."""
-REST_S = 10.0
-"""Time at rest in a run that tells what it draws there."""
 
 
 def runs_apart(model: Model) -> tuple[Structure | None, str]:
@@ -53,10 +51,13 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
         more = log_likelihood(model) - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS
         rest = _at_rest(model, drawn.sum(axis=1)) if more else 0.0
         if more and (rest is None or rest > HALF):
-            too = "" if rest is None else ", at rest too"
+            too, also = ", at rest too", ""
+            if rest is None:
+                too, causes = "", " or ".join(_constant_causes(model))
+                also = f", or it may be {causes}: a minute at rest in each run would tell" if causes else ""
             return None, (
                 f"the runs differ by {by} in all that they draw{too}: meters that differ, or were set "
-                "differently, do that; check them before two runs are held against each other"
+                f"differently, do that; check them before two runs are held against each other{also}"
             )
         words = f"the runs differ by {by} in what the same motion costs"
     most, least = (design.names[int(f(drawn.sum(axis=1)))] for f in (np.argmax, np.argmin))
@@ -66,23 +67,32 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
     )
     if along := _goes_with(model, drawn.sum(axis=1)):
         words += f"; from run to run it goes with {' and '.join(along)}"
-    constant = []
-    for number, candidate in enumerate(constraints.candidates):
-        own = np.flatnonzero(constraints.effect == number)
-        acts = np.array([np.any(design.phi[own][:, rows], axis=1) for rows in design.runs])
-        if len(own) and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
-            words += (
-                "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
-            )
-        elif not len(own) or {*own.tolist()} & {*model.chosen} or not cause_is_constant(model, int(own[0])):
-            continue
-        elif len(design.runs) <= max(FEWEST_FOLDS, SEVERAL_RUNS * len(candidate.levels)):  # more would tell
-            constant.append(candidate.effect)
+    if any(_once_each(model, number) for number in range(len(constraints.candidates))):
+        words += "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
+    constant = _constant_causes(model)
     if constant:
         words += (
             f"; it may be {' or '.join(constant)}, whose cause is constant in runs, of which these are too few to tell"
         )
     return Structure("run", 0.0, 0.0, size, words, effects=tuple(constant)), ""
+
+
+def _once_each(model: Model, number: int) -> bool:
+    """Whether each column of an effect acts in one run alone, and in each run one of them."""
+    own = np.flatnonzero(model.constraints.effect == number)
+    acts = np.array([np.any(model.design.phi[own][:, rows], axis=1) for rows in model.design.runs])
+    return bool(len(own) and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1))
+
+
+def _constant_causes(model: Model) -> list[str]:
+    """Effects not in the model whose cause is constant in runs, where these are too few to tell one of them."""
+    found, constraints = list[str](), model.constraints
+    for number, candidate in enumerate(constraints.candidates):
+        own = np.flatnonzero(constraints.effect == number).tolist()
+        few = len(model.design.runs) <= max(FEWEST_FOLDS, SEVERAL_RUNS * len(candidate.levels))  # more would tell
+        if own and few and not {*own} & {*model.chosen} and cause_is_constant(model, own[0]):
+            found += [] if _once_each(model, number) else [candidate.effect]
+    return found
 
 
 def _goes_with(model: Model, drawn: Array) -> list[str]:
@@ -104,14 +114,10 @@ def _goes_with(model: Model, drawn: Array) -> list[str]:
 
 def _at_rest(model: Model, drawn: Array) -> float | None:
     """Part of the gain of each run, shape (runs,), with which its power at rest goes; None where few runs rest."""
-    source, design = model.source, model.design
-    rests = [run.at_rest for run in source.runs if run.at_rest is not None]
-    if len(rests) < len(source.runs):
-        return None
-    still = source.averaged([rest[None, :].astype(float) for rest in rests], model.clock)[0] > 0.99
+    design, rest_s = model.design, seconds_at_rest(model)
     gains, ratios = [], []
     for rows, gain in zip(design.runs, drawn, strict=True):
-        seconds = design.duration_s[rows] * still[rows]
+        seconds = rest_s[rows]
         expected = float(seconds @ design.base[rows])
         if seconds.sum() >= REST_S and expected > 0.0:
             gains.append(float(gain))

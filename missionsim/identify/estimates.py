@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -177,10 +177,8 @@ def pairs(model: Model) -> Alike:
     return out
 
 
-def estimated(
-    choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Alike, unnamed: Collection[str]
-) -> tuple[Finding, ...]:
-    """Every effect in the model but the `unnamed` ones, the one with the largest gain first.
+def estimated(choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Alike) -> tuple[Finding, ...]:
+    """Every effect in the model, the one with the largest gain first.
 
     Parameters
     ----------
@@ -198,8 +196,6 @@ def estimated(
     out: list[Finding] = []
     for number in constraints.numbers(model.chosen):
         candidate = constraints.candidates[number]
-        if candidate.effect in unnamed:
-            continue
         own, _ = constraints.split(model.chosen, number)
         evidence = [choice.evidence[k] for k in own]
         parameters, reach = _sized(choice, own, sizes)

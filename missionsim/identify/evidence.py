@@ -20,6 +20,10 @@ NODE, WEIGHT = np.polynomial.legendre.leggauss(48)
 """Of the integral over an angle: with them p-values of 1e-15 are those of the t distribution to 1e-9."""
 
 
+REST_S = 10.0
+"""Time at rest that tells what a robot draws there."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
     """What speaks for one column, given the others in the model."""
@@ -49,6 +53,17 @@ class Evidence:
     def p_value(self) -> float:
         """The more careful of the likelihood and the robust p-value."""
         return max(chance_of(self.gain), self.p_robust)
+
+
+def seconds_at_rest(model: Model) -> Array:
+    """Time that each interval stands for, shape (n,), of those in which the robot stands [s]; else, and where no log
+    tells it, nought."""
+    source, seconds = model.source, model.design.duration_s
+    rests = [run.at_rest for run in source.runs if run.at_rest is not None]
+    if len(rests) < len(source.runs):
+        return np.zeros_like(seconds)
+    still = source.averaged([rest[None, :].astype(float) for rest in rests], model.clock)[0]
+    return np.where(still > 0.99, seconds, 0.0)
 
 
 def chance_of(gain: float, freedom: int = 1) -> float:

@@ -35,7 +35,7 @@ class Identification(Findings):
     """The fitted model with what speaks for each effect in it, and the model without effects."""
     library: tuple[Candidate, ...]
     settings: Settings
-    demoted: tuple[str, ...] = ()
+    doubted: tuple[Finding, ...] = ()
     """Effects that the model keeps and does not name."""
     factor: float | None = None
     """The one factor on the whole model that took the place of all effects."""
@@ -53,6 +53,11 @@ class Identification(Findings):
         parameters is named, which may have taken that."""
         beyond = (abs(one.shift_in_prior_sd) > settings.recalibration_limit for one in self.recalibration)
         return self.choice.forward is not None or self.twins > 0 or any(beyond)
+
+    @property
+    def demoted(self) -> tuple[str, ...]:
+        """Names of the effects that the model keeps and does not name."""
+        return tuple(one.effect for one in self.doubted)
 
     @property
     def twins(self) -> int:
@@ -156,7 +161,8 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
             averages = (level,)
     # after the refit of shapes, so that rivals meet the effect at its best
     alike = pairs(model)
-    effects = estimated(choice, shapes, alike, unnamed)
+    kept = estimated(choice, shapes, alike)
+    effects = tuple(one for one in kept if one.effect not in unnamed)
     told_of = {effect.effect for effect in effects}
     confounding = {
         a: {b: r for b, (r, _) in row.items() if math.isfinite(r)} for a, row in alike.items() if a in told_of
@@ -189,7 +195,7 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
         choice=choice,
         library=tuple(constraints.candidates),
         settings=constraints.settings,
-        demoted=unnamed,
+        doubted=tuple(one for one in kept if one.effect in unnamed),
         factor=factor,
         averages=averages,
     )

@@ -136,6 +136,8 @@ class Proposal:
     """What to drive to tell the forms apart."""
     instead_of: tuple[str, ...] = ()
     """Effects of the library that stood in for it."""
+    effect: str = ""
+    """That of the library which it is, seen and not named: no other form does better."""
     heldout_rmse_w: tuple[float, float] | None = None
     heldout_energy_pct: tuple[float, float] | None = None
     """Both: errors of runs that nothing was fitted to."""

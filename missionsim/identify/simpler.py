@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.identify.design import Design, Source
-from missionsim.identify.evidence import cause_is_constant
+from missionsim.identify.evidence import REST_S, cause_is_constant, seconds_at_rest
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
@@ -25,6 +25,10 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     UNCLEAR,
 )
+from missionsim.physics import Array
+
+HALF = 0.5
+"""Part of what meter and model differ by that they differ by at rest too, where it is a matter of the meter."""
 
 
 def may_differ(source: Source) -> bool:
@@ -73,7 +77,16 @@ def instead_of_effects(model: Model) -> float | None:
     if not model.chosen or not may_differ(model.source):
         return None
     factor, part = common_factor(model)
-    return None if abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH else factor
+    none = abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH
+    return None if none or not _at_rest_too(model, model.design.base - model.design.y, 1.0 - factor) else factor
+
+
+def _at_rest_too(model: Model, error_w: Array, part: float) -> bool:
+    """Whether an error, shape (n,) [W], that makes a part of all that is drawn does so where the robot stands as well;
+    yes where nothing tells when it does."""
+    rest_s = seconds_at_rest(model)
+    drawn = float(model.design.base @ rest_s)
+    return rest_s.sum() < REST_S or drawn <= 0.0 or float(error_w @ rest_s) / drawn / part > HALF
 
 
 def parameters_instead(model: Model) -> dict[str, Structure]:
@@ -168,7 +181,7 @@ def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> b
 
 
 def level_difference(model: Model) -> Structure | None:
-    """That model and meter differ by much in all runs, whatever the robot does; None where they do not.
+    """That model and meter differ by much in all runs, and whether at rest too; None where they do not.
 
     An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong
     units, another robot's file or a large constant load must not hide in them.
@@ -185,8 +198,10 @@ def level_difference(model: Model) -> Structure | None:
     if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
         return None
     factor = 1.0 / (1.0 + float(np.median(errors)))
-    words = (
-        f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
-        "units of the log and the robot file, or look for a load that is always on"
-    )
+    words = f"the meter reads {factor:.3g} times what the model gives in every run"
+    if _at_rest_too(model, error, 1.0 - factor):
+        words += ", whatever the robot does: check the units of the log and the robot file, or look for a load that is "
+        words += "always on"
+    else:
+        words += ", but not at rest: check the columns of motion (a slope sensor that is not level) and what drives"
     return Structure("", 0.0, 0.0, float(np.mean(np.abs(errors))), words)

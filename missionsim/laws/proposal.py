@@ -49,6 +49,8 @@ raises the error of left-out runs no further than this, stood in for it as well.
 LEADS = 0.9
 """So did one in whose place a law alone leaves less than this part of that error."""
 TWIN = 0.985
+SAME = 0.9999
+"""Correlation with the column of an effect from which on a law has no other form than that effect."""
 OWN_METER = 0.99
 """Correlation with the measured power from which on a column is that power, or the current of it."""
 
@@ -204,6 +206,7 @@ def _propose(
         runs=errors.acting,
         experiment=experiment(laws, curve, possible, found.noise, most),
         instead_of=instead,
+        effect=_twin(fitted, ground, found, SAME),
     )
     return made, fitted, ground
 
@@ -293,13 +296,13 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[tuple[str, ...], Searched
     return tuple(out), looked.get(tuple(out))
 
 
-def _twin(fitted: Fitted, ground: Ground, found: Identification) -> str:
-    """The effect of the library whose column is the law's own."""
+def _twin(fitted: Fitted, ground: Ground, found: Identification, alike: float = TWIN) -> str:
+    """The effect of the library whose column is the law's own, or almost."""
     x = fitted.watts - np.mean(fitted.watts)
     for phi, column in zip(ground.design.phi, ground.design.layout.columns, strict=True):
         y = phi - np.mean(phi)
         r = abs(float(x @ y)) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)
-        if column.candidate >= 0 and r > TWIN:
+        if column.candidate >= 0 and r > alike:
             return str(found.library[column.candidate].effect)
     return ""
 

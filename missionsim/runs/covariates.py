@@ -87,7 +87,18 @@ _NO_CAUSE = re.compile(
     r"(^|_)(voltage|volts?|energy|soc|charge|charging)(_|$)|^power_.+_w$|^current_.+_a$"
     r"|^(x_m|y_m|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
     r"|^on_time_"
+    r"|(^|_)(latitude|longitude|lat|lon|altitude|[hvp]dop|satellites|sats|covariance|seq|stamp)(_|$)"
 )
+_ORDER = frozenset(
+    ("cmd", "command", "commanded", "setpoint", "target", "desired", "goal", "requested", "reference", "ref")
+)
+_MOVES = frozenset(
+    (
+        *("speed", "velocity", "vel", "linear", "angular", "yaw", "omega", "turn", "twist", "steer", "steering"),
+        *("accel", "acceleration", "throttle", "rpm", "wheel", "heading", "v", "x", "y", "z"),
+    )
+)
+"""Both: words of a motion that was asked for. It costs what the motion costs that follows."""
 _ELECTRICAL = frozenset(("power", "current", "currents", "amp", "amps"))
 _NO_PART = frozenset(
     (
@@ -113,9 +124,12 @@ _ROWS = 20_000
 
 
 def may_be_cause(name: str) -> bool:
-    """Whether power may depend on a column; what is measured of the load follows it and is never its cause. Power and
-    current of a part that is none of battery and drive (``arm_power``, ``gripper_current_a``) may be one."""
+    """Whether power may depend on a column; what is measured of the load follows it and is never its cause, and what is
+    asked for (``cmd_speed_m_s``) is none beside what is driven. Power and current of a part that is none of battery and
+    drive (``arm_power``, ``gripper_current_a``) may be one."""
     words = re.sub(r"\d+", "", name).split("_")
+    if not (_ORDER.isdisjoint(words) or _MOVES.isdisjoint(words)):
+        return False
     if not _ELECTRICAL.intersection(words):
         return not _NO_CAUSE.search(name)
     part = {*words} - _ELECTRICAL - _NO_PART - {""}

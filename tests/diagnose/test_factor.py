@@ -40,6 +40,19 @@ def test_one_factor_on_everything_names_no_effect() -> None:
     assert "on the whole model explains as much" in reasons["rolling_friction"]
 
 
+def test_what_is_off_in_motion_alone_is_not_off_whatever_the_robot_does() -> None:
+    """As with a slope sensor that is not level: the same in every run, and the units are right."""
+    logs = []
+    for seed in range(4):
+        log = drive(seed, seconds=160.0)
+        moves = (np.abs(log.number("speed_m_s")) >= 0.005) | (np.abs(log.number("yaw_rate_rad_s")) >= 0.02)
+        logs.append(drawing(log, log.power_w["robot"] * np.where(moves, 0.55, 1.0)))
+    found = diagnose(Subject.of(load_robot(ROBOT)), logs, holdout="none").batteries["robot"]
+    told = words.headline(found)
+    assert "whatever the robot does" not in told
+    assert "in every run, but not at rest: check the columns of motion" in told
+
+
 @pytest.mark.parametrize("scrub_w_s_rad", [3.0, 12.0])
 def test_an_effect_is_no_factor(scrub_w_s_rad: float) -> None:
     logs = tuple(drive(seed, seconds=240.0, scrub_w_s_rad=scrub_w_s_rad) for seed in range(4))

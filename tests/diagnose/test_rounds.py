@@ -20,7 +20,7 @@ from missionsim.effects.model import ModelParameter
 from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
-from missionsim.identify.findings import Estimate, Finding, Recalibrated
+from missionsim.identify.findings import Estimate, Finding, Judged, Recalibrated
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.logs import read_logs
@@ -65,6 +65,21 @@ def rounds(models: Told, seen: Sequence[Sequence[str]], clocks: Sequence[Clock |
     made.settle = settle  # type: ignore[method-assign]
     made.near = lambda clock, _: clock  # type: ignore[method-assign]
     return made
+
+
+@pytest.mark.parametrize(
+    ("of_file", "both", "added"),
+    [(("grade",), 1.0, "grade"), (("grade", "drag"), 4.0, "grade drag"), (("grade", "drag"), 12.0, "grade")],
+)
+def test_what_the_written_file_is_said_to_lack_goes_in_too(of_file: tuple[str, ...], both: float, added: str) -> None:
+    """`diagnose` of a file knows nothing of its base beside these logs, and may see more than the rounds did: "improve
+    that file once more" was left to the user."""
+    found = [("grade",), ("grade",), ("grade", "drag")]
+    made = rounds(Told({(): 100.0, ("grade",): 10.0, ("grade", "drag"): both}), found)
+    of_files = [of_file, ("grade", "drag")]
+    made.as_written = lambda _: (None, replace(BATTERY, effects=named(*of_files.pop(0))))  # type: ignore[method-assign,assignment,return-value]
+    end, _, _ = made.finished()
+    assert end.text == f"file {added}"
 
 
 @pytest.mark.parametrize(("last", "kept"), [(4.0, "file grade drag"), (9.95, "file grade drag"), (12.0, "file grade")])
@@ -184,10 +199,13 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     law = SimpleNamespace(
         far_better=False,
         takes_over=False,
+        open=False,
+        effect="",
         instead_of=("grade",),
         first=SimpleNamespace(variables=(), low=1.0, high=2.0),
     )
     found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=()), effects=named("grade"), candidates=())
+    found.doubted = ()
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(
         settings=SimpleNamespace(min_share=0.0),
@@ -279,6 +297,8 @@ class Formed:
 
     instead_of: tuple[str, ...] = ()
     first: Any = field(default_factory=lambda: SimpleNamespace(variables=(), low=1.0, high=2.0), compare=False)
+    effect: str = ""
+    open: bool = False
 
 
 @pytest.mark.parametrize(
@@ -311,16 +331,33 @@ def test_an_effect_that_fades_once_another_has_gone_goes_after_it(monkeypatch: p
     assert named_.proposed == (Formed(("scrub", "skid")),)
 
 
+@pytest.mark.parametrize(("law", "known"), [(Formed(effect="cpu"), True), (Formed(), False)])
+def test_a_law_that_is_an_effect_put_in_doubt_is_that_effect(
+    monkeypatch: pytest.MonkeyPatch, law: Formed, known: bool
+) -> None:
+    """One that has no other form was "no effect of the library fits: k * cpu_load", beside a cpu_load "not named"."""
+    (doubted,) = named("cpu")
+    named_ = judged_beside_a_law(monkeypatch, (), lambda _: (), needed=True, law=law, doubted=(doubted,))
+    assert [one.effect for one in named_.effects] == ["cpu"] * known
+    assert named_.proposed == (() if known else (law,))
+    (judged,) = named_.candidates
+    assert (judged.accepted, judged.doubtful_share is None) == (known, known)
+    assert all("something else remains" in one.doubt for one in named_.effects)
+
+
 def judged_beside_a_law(
     monkeypatch: pytest.MonkeyPatch,
     alone: tuple[Finding, ...],
     beside: Callable[[Sequence[Finding]], tuple[Finding, ...]],
     *,
     needed: bool,
+    law: Formed = Formed(),
+    doubted: tuple[Finding, ...] = (),
 ) -> diagnosis.Named:
     """What `judged` makes of effects as they are `alone` and, fitted together, `beside` one law."""
-    law = Formed()
-    found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=alone, candidates=())
+    refused = tuple(Judged(one.effect, False, "a louder structure remains", 0.01, True, 0.05) for one in doubted)
+    found = SimpleNamespace(factor=None, choice=SimpleNamespace(forward=None), effects=alone, candidates=refused)
+    found.doubted = doubted
     features = SimpleNamespace(covariates=(), unlogged=False, given_sd=False)
     models = SimpleNamespace(
         settings=SimpleNamespace(min_share=0.0),

@@ -205,22 +205,28 @@ def test_a_line_of_one_run_must_be_no_chance_and_one_of_several_stand_out(
 
 
 @pytest.mark.parametrize(
-    ("factor", "part", "told"),
+    ("factor", "part", "at_rest", "told"),
     [
-        (1.08, 0.95, False),
-        (0.92, 0.95, False),
-        (1.12, 0.95, True),
-        (0.88, 0.95, True),
-        (1.5, 0.87, False),
-        (1.5, 0.93, True),
+        (1.08, 0.95, 1.08, False),
+        (0.92, 0.95, 0.92, False),
+        (1.12, 0.95, 1.12, True),
+        (0.88, 0.95, 0.88, True),
+        (1.5, 0.87, 1.5, False),
+        (1.5, 0.93, 1.5, True),
+        (1.5, 0.93, 1.27, True),
+        (1.5, 0.93, 1.23, False),
+        (0.88, 0.93, 1.0, False),
     ],
 )
-def test_a_factor_is_large_and_explains_what_the_effects_explain(
-    monkeypatch: pytest.MonkeyPatch, factor: float, part: float, told: bool
+def test_a_factor_is_large_explains_what_the_effects_explain_and_holds_at_rest(
+    monkeypatch: pytest.MonkeyPatch, factor: float, part: float, at_rest: float, told: bool
 ) -> None:
     monkeypatch.setattr(simpler, "may_differ", lambda _: True)
     monkeypatch.setattr(simpler, "common_factor", lambda _: (factor, part))
-    assert simpler.instead_of_effects(SimpleNamespace(chosen=(0,), source=None)) == (factor if told else None)
+    monkeypatch.setattr(simpler, "seconds_at_rest", lambda _: np.repeat([0.0, 1.0], 12))
+    design = SimpleNamespace(base=np.full(24, 10.0), y=np.repeat([15.0, 10.0 * at_rest], 12))
+    model = SimpleNamespace(chosen=(0,), source=None, design=design)
+    assert simpler.instead_of_effects(model) == (factor if told else None)
 
 
 @pytest.mark.parametrize(("off", "told"), [((0.09, 0.2), False), ((0.11, 0.2), True), ((-0.11, 0.2), False)])
@@ -230,6 +236,8 @@ def test_a_level_is_off_in_every_run(monkeypatch: pytest.MonkeyPatch, off: tuple
         layout=LAYOUT, gradient=np.zeros((0, 20)), phi=np.zeros((0, 20)), duration_s=np.ones(20), y=np.full(20, 10.0)
     )
     design.residual, design.runs = -10.0 * np.repeat(off, 10), (slice(0, 10), slice(10, 20))
+    design.base = design.y
+    monkeypatch.setattr(simpler, "seconds_at_rest", lambda _: np.zeros(20))
     gram = SimpleNamespace(joint=lambda *_: (np.zeros(0), None))
     model = SimpleNamespace(source=None, design=design, gram=gram, chosen=())
     assert (simpler.level_difference(model) is not None) is told

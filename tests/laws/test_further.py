@@ -61,6 +61,8 @@ def test_a_quantity_in_other_units_is_told_and_no_law_reads_it() -> None:
 @pytest.mark.parametrize("name", ["arm_power", "arm_current_a", "gripper_power_w", "arm_2_current_raw", "heater_amps"])
 def test_what_a_part_draws_may_be_a_cause(name: str) -> None:
     assert may_be_cause(name)
+    assert may_be_cause("cabin_setpoint_c")
+    assert may_be_cause("headwind_m_s")
     run = drives()[0] | {name: np.linspace(0.0, 9.0, 300) ** 2}
     assert name in {factor.variable for factor in make_grammar([run]).factors}
 
@@ -108,9 +110,11 @@ def test_what_is_above_nought_is_no_second_form_of_what_never_falls_below() -> N
         *("power", "power_w", "current_a", "amps", "power_arm_w", "current_robot_a", "battery_current", "pack_power_w"),
         *("charging_current_a", "charge_current", "state_of_charge", "soc", "voltage", "arm_voltage_v", "total_power"),
         *("left_motor_current", "wheel_power_w", "drive_power", "energy_arm", "mean_current_a", "dc_power"),
+        *("cmd_speed_m_s", "speed_cmd", "cmd_vel_linear_x", "target_yaw_rate_rad_s", "steering_setpoint_rad"),
+        *("gps_hdop", "longitude", "num_satellites", "position_covariance"),
     ],
 )
-def test_what_follows_the_load_is_no_cause(name: str) -> None:
+def test_what_follows_the_load_or_asks_for_motion_is_no_cause(name: str) -> None:
     assert not may_be_cause(name)
 
 
