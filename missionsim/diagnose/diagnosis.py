@@ -199,7 +199,7 @@ def diagnose_battery(
         shape="; ".join(filter(None, (left.shape, *(s.shape for s in more)))),
         structures=(*left.structures, *more),
     )
-    alike = goes_with(found, features.covariates)
+    alike = goes_with(found, features.covariates, {name: one.needs for name, one in features.effects.items()})
     effects = tuple(replace(e, remark="; ".join(filter(None, (e.remark, alike.get(e.effect))))) for e in effects)
     # a law that reads what no single named effect reads; else it is the form of that effect, told beside it
     reads = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]

@@ -4,7 +4,7 @@ watts that are logged beside, of which the fitted runs hold too little."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,9 +63,12 @@ def leftover(found: Identification, covariates: Sequence[Covariates]) -> Structu
     return standing_out(error_w, design.duration_s, run_index, rows, noise_w=sd_w, mean_power_w=found.mean_power_w)
 
 
-def goes_with(found: Identification, covariates: Sequence[Covariates]) -> dict[str, str]:
+def goes_with(
+    found: Identification, covariates: Sequence[Covariates], reads: Mapping[str, Collection[str]]
+) -> dict[str, str]:
     """By effect found, in words, a column that the glossary does not hold and that goes with the effect's own in these
-    runs, so that whichever of them it is, driving would cost the same: rain that fell on the cold days."""
+    runs, so that whichever of them it is, driving would cost the same: rain that fell on the cold days. `reads`: by
+    effect, the columns that it reads itself."""
     model = found.choice.model
     source, design = model.source, model.design
     known = [covariates[i] for i in source.kept]
@@ -87,6 +90,8 @@ def goes_with(found: Identification, covariates: Sequence[Covariates]) -> dict[s
 
         mine = beside(sum(sizes[k] * design.phi[k] for k in own) * root)
         for name, column in columns.items():
+            if name in reads.get(effect, ()):
+                continue
             theirs = beside(column)
             lengths = np.linalg.norm(theirs, axis=1) * np.linalg.norm(mine)
             if np.max(np.abs(theirs @ mine) / np.maximum(lengths, 1e-300)) > TWIN:

@@ -78,7 +78,8 @@ def test_rain_that_fell_on_the_cold_days_alone_may_be_what_the_cold_is_called(
     one = Candidate("temperature_friction", ("cold",), covariate="temp_ambient_c")
     found = identify(runs, [one], {"c3": 0.05, "c4": 0.05})
     assert [effect.effect for effect in found.effects] == ["temperature_friction"]
-    told = goes_with(found, logged)
+    told = goes_with(found, logged, {})
+    assert not goes_with(found, logged, {"temperature_friction": ("rain",)})  # its own column, as that of a logged load
     assert [*told] == (["temperature_friction"] if fell[1] else [])
     assert all("rain goes with it in these runs" in words for words in told.values())
 

@@ -403,7 +403,7 @@ def test_of_effects_that_fail_the_weakest_goes_first(monkeypatch: pytest.MonkeyP
 def test_runs_that_hardly_repeat_an_effect_are_not_said_to(p_runs: float, level: str) -> None:
     choice = fitted("grade", 0.05).choice
     evidence = {k: replace(one, p_runs=p_runs) for k, one in choice.evidence.items()}
-    assert estimates.estimated(replace(choice, evidence=evidence), {}, {}, ())[0].level == level
+    assert estimates.estimated(replace(choice, evidence=evidence), {}, {})[0].level == level
 
 
 @pytest.mark.parametrize(("p_value", "asked"), [(0.011, False), (0.009, True)])
