@@ -132,6 +132,7 @@ def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
         # over a second, for the noise of two successive speeds drowns their difference
         gained = np.r_[0.0, np.cumsum(0.5 * (accel[1:] + accel[:-1]) * np.diff(time))]
         logged, seen = gained[second:] - gained[:-second], speed[second:] - speed[:-second]
+        logged, seen = logged - logged.mean(), seen - seen.mean()  # a sensor that is not level has a constant part
         strength, both = float(seen @ seen), float(logged @ seen)
         if strength > 0 and both**2 > 0.5 * strength * (logged @ logged):
             _ratio(rows, "accel_m_s2", "the changes of speed_m_s", both / strength, 1.0, loose=True)

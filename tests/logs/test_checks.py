@@ -325,6 +325,14 @@ def test_units_against_another_column(tmp_path: Path, column: str, factor: float
     assert any(fault.severity == "error" for fault in check_log(tmp_path / "run.csv"))
 
 
+@pytest.mark.parametrize(("sign", "kinds"), [(1.0, []), (-1.0, ["unit"])])
+def test_the_sign_of_an_acceleration_whose_sensor_is_not_level(tmp_path: Path, sign: float, kinds: list[str]) -> None:
+    """In one of four runs alone the wrong sign was seen, and that one left out."""
+    columns = _rich()
+    columns["accel_m_s2"] = sign * columns["accel_m_s2"] + 0.5
+    assert [remark.kind for remark in read(tmp_path, columns).remarks] == kinds
+
+
 def _rich() -> dict[str, np.ndarray]:
     columns = motion()
     time, speed, power = columns["time_s"], columns["speed_m_s"], columns["power_robot_w"]

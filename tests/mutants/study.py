@@ -201,7 +201,7 @@ MUTANTS = [
     *_of(
         "verdict",
         "identify/simpler.py",
-        ("part < AS_MUCH else factor", "part < 2.0 else factor"),
+        ("LEVEL_SHARE or part < AS_MUCH", "LEVEL_SHARE or part < 2.0"),
         ("abs(plain_ratio(source) - 1.0) > AT_LEVEL", "True"),
     ),
 ]
