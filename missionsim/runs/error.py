@@ -100,10 +100,6 @@ class Errors:
         """Root mean square of the power error over all rows, weighted by time [W]."""
         return self.total.power_rmse_w
 
-    def to_json(self) -> Json:
-        """The three numbers that are compared between models."""
-        return fields_of(self.total, "energy_error_pct") | fields_of(self, "run_energy_error_pct power_rmse_w")
-
 
 def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
     """Errors of a model on runs that measured a battery; what a run lacks is assumed as `missionsim.runs.drive` says.

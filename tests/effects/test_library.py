@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from missionsim.effects.library import effect_ids, get_effect
-from missionsim.physics.electrical import sonar_power
+from missionsim.physics.electrical import sensor_power, sonar_power
 
 
 @pytest.mark.parametrize(
@@ -67,3 +67,8 @@ def test_what_an_effect_draws_is_its_equation(
 
 def test_a_sonar_draws_more_than_in_proportion_to_its_rate() -> None:
     assert sonar_power(10.0, 0.0045, 0.2) == pytest.approx(2.45, rel=1e-12)
+
+
+def test_a_sensor_draws_by_its_rate_and_nothing_without_samples() -> None:
+    """Parasuraman 2012, Eq. 5: s₁ f + s₂."""
+    assert sensor_power([0.0, 10.0], per_rate_w_s=0.2, constant_w=1.5) == pytest.approx([0.0, 3.5])

@@ -88,6 +88,16 @@ def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 100
 
 
+def test_one_effect_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["effects", "show", "component_warmup:kinect"]) == 0
+    shown = capsys.readouterr().out
+    for part in ("component_warmup:kinect", "power", "needs   on_kinect", "source", "parameters", "tau"):
+        assert part in shown
+    assert max(map(len, shown.splitlines())) <= 100
+    assert run_command(["effects", "show", "grad"]) == 2
+    assert "did you mean: grade" in capsys.readouterr().err
+
+
 PATROL = "missions/pioneer3dx/valve_patrol.yaml"
 
 

@@ -131,6 +131,56 @@ def test_words_of_a_fault(folder: Path, name: str, old: str, new: str, faults: t
     assert told(f"{name}.yaml") == [f"{name}.yaml:{fault}" for fault in faults]
 
 
+CELL = "{capacity: 10 Wh, model: {kind: equivalent_circuit, resistance: 0.1 ohm, peukert: 1, open_circuit_voltage: "
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "head"),
+    [
+        ("mission", "start: A\n", "", "a drive to a place, but the mission has no start"),
+        (
+            "mission",
+            "{to: B}",
+            "{distance: 3 m}\n  - drive: {to: B}",
+            "the place from which this drive starts is not known",
+        ),
+        ("mission", "environment: environment.yaml\nstart: A\n", "", "place 'B' without an environment"),
+        (
+            "mission",
+            MISSION[MISSION.index("environment") :],
+            "segments:\n  - dock: {recharge: {until: 90 %}}\n",
+            "docking without an environment",
+        ),
+        ("mission", "{to: B}", "{to: B, conditions: {on_lidar: 1}}", "'on_lidar' is decided by the run"),
+        ("mission", "segments:", "activities: [{component: lidar, every: 60 s}]\nsegments:", "bursts need a duration"),
+        ("robot", "go: {sensors", "go: {motion: false, sensors", "control scheme 'go' stands still"),
+        ("robot", "go: {sensors", "go: {image_analysis: true, sensors", "image analysis is done standing"),
+        ("robot", "10 Wh", "10 Ah", "a capacity in Ah needs nominal_voltage"),
+        ("robot", "10 Wh", "-10 Ah", "impossible value"),
+        ("robot", "{capacity: 10 Wh}", CELL + "[[0, 10 V], [0.9, 12 V]]}}", "the curve must run from 0 to 1"),
+        ("robot", "{capacity: 10 Wh}", CELL + "[[0, 12 V], [1, 10 V]]}}", "voltages must not fall with charge"),
+        (
+            "robot",
+            "{capacity: 10 Wh}",
+            CELL + "[[0, 10 V], [1, 12 V]], cut_off: 12 V}}",
+            "cut-off above the full battery's voltage",
+        ),
+        (
+            "robot",
+            "10 Wh",
+            "10 Wh, charge_taper: {from: 1, end_power: 0.1}",
+            "a taper that begins when the battery is full",
+        ),
+        ("environment", "to: B}", "to: B, length: 3 m}", "shorter than the straight line between its places"),
+        ("environment", "to: B}", "to: A}", "an edge from a place to itself"),
+        ("environment", "B: {x: 10, y: 0}", "B: {x: 0, y: 0}", "edge of length 0"),
+    ],
+)
+def test_what_cannot_be_is_told(folder: Path, name: str, old: str, new: str, head: str) -> None:
+    change(name, old, new)
+    assert any(head in text for text in heads("mission.yaml"))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "meant"),
     [("10 Wh", '"10,5 Wh"', "10.5 Wh"), ("1 m/s", '"1,4"', "1.4"), ("c3: 2", 'c3: "2,4 W s/m"', "2.4 W s/m")],

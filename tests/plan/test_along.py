@@ -81,3 +81,23 @@ def test_turning_back_on_a_named_edge_stays_on_it() -> None:
     back = (line.segment == len(result.segments) - 1) & (line.columns["speed_m_s"] > 0.0)
     assert set(line.columns["slope_rad"][back].tolist()) == {math.atan(0.02)}
     assert result.distance_m < 80.0
+
+
+@pytest.mark.parametrize(
+    ("spots", "square_m2"),
+    [
+        ({"near": {"x": 0, "y": 3}}, 40.0**2 / 3.0 + 9.0),
+        ({"near": {"x": 0, "y": 0}, "far": {"x": 40, "y": 0}}, 20.0**2 / 3.0),  # the nearer one counts
+    ],
+)
+def test_a_radio_pays_for_the_way_to_the_nearest_access_point(spots: dict[str, object], square_m2: float) -> None:
+    """k d² over 40 m at 0.5 m/s, from where the map has its places and access points."""
+    site = {
+        "places": {"a": {"x": 0, "y": 0}, "b": {"x": 40, "y": 0}},
+        "edges": [{"from": "a", "to": "b"}],
+        "access_points": spots,
+    }
+    radio = [{"effect": "radio_range", "battery": "aux", "parameters": {"k": 0.002}}]
+    drive = {"to": "b", "speed": 0.5, "profile": "constant_speed"}
+    made = run([{"drive": drive}], robot(effects=radio), site, start="a")
+    assert 3600.0 * made.by_term_wh("aux")["radio_range"] == pytest.approx(0.002 * square_m2 * 80.0)

@@ -35,3 +35,12 @@ def test_energies_times_and_charges_agree(root: Path, tmp_path: Path, least: str
         assert battery["charge_left_wh"] == pytest.approx(run["batteries"][name]["charge_left_wh"], rel=1e-9)
     by_leg = [leg["energy_wh"]["drive"] for leg in plan["legs"]]
     assert by_leg == pytest.approx(run["batteries"]["drive"]["by_segment_wh"], rel=1e-9)
+
+
+def test_a_robot_that_stands_at_the_end_of_each_drive_is_planned_so(root: Path, tmp_path: Path) -> None:
+    dwelling, usual = (planned(root, tmp_path, TWO, *more) for more in (["defaults.behaviour={dwell: 3 s}"], []))
+    for plan, run in (dwelling, usual):
+        assert plan["duration_s"] == pytest.approx(run["duration_s"], rel=1e-9)
+        for name, battery in plan["batteries"].items():
+            assert battery["energy_wh"] == pytest.approx(run["batteries"][name]["energy_wh"], rel=1e-9)
+    assert dwelling[0]["duration_s"] > usual[0]["duration_s"] + 6.0
