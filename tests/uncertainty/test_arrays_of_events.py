@@ -35,7 +35,7 @@ schemes:
   look: {{motion: false, image_analysis: true, sensors: {{required: {{arm: 1}}}}}}
 effects:
   - {{effect: acceleration, battery: main, parameters: {{k: {{value: 1, sd: 5 %}}}}}}
-"""
+{more}"""
 SITE = """kind: environment
 name: yard
 places: {home: {x: 0, y: 0, charger: {power: 70 W}}, far: {x: 60, y: 0}, side: {x: 60, y: 40}}
@@ -45,9 +45,16 @@ TAPER = ", charge_taper: {from: 70 %, end_power: 20 %}"
 
 
 def _prepared(
-    folder: Path, segments: list[str], *, taper: str = "", boot: str = "", sd: str = "5 %", fast: bool = False
+    folder: Path,
+    segments: list[str],
+    *,
+    taper: str = "",
+    boot: str = "",
+    sd: str = "5 %",
+    fast: bool = False,
+    more: str = "",
 ) -> Prepared:
-    (folder / "robot.yaml").write_text(ROBOT.format(taper=taper, boot=boot, sd=sd))
+    (folder / "robot.yaml").write_text(ROBOT.format(taper=taper, boot=boot, sd=sd, more=more))
     (folder / "site.yaml").write_text(SITE)
     head = "kind: mission\nname: events\nrobot: robot.yaml\nenvironment: site.yaml\nstart: home\n"
     head += "initial_charge: {main: 60 %, brain: 55 %}\ndefaults: {speed: 0.5 m/s, scheme: creep}\nsegments:\n"
@@ -83,6 +90,27 @@ DRIVES = ["drive: {to: far}", "drive: {to: side, scheme: creep, speed: 0.5 m/s}"
 )
 def test_start_ups_and_docks_as_arrays_are_those_of_simpy(tmp_path: Path, segments: list[str], options: dict) -> None:
     own = _agree(_prepared(tmp_path, segments, **options), 60)
+    assert own.mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "effect: cold_friction, battery: main, parameters: {k: {value: 9 N, sd: 5 %}, tau: 60 s}",
+        "effect: 'component_warmup:lidar', battery: brain, parameters: {k: {value: 8 W, sd: 5 %}, tau: 30 s}",
+        'name: drift, battery: brain, power: "k * time_s", parameters: {k: {value: 0.01 W/s, sd: 5 %}}',
+    ],
+)
+def test_what_goes_by_a_clock_as_arrays_is_that_of_simpy(tmp_path: Path, effect: str) -> None:
+    """Time driven, time since a sensor was switched on, which happens twice here, and time itself."""
+    segments = [
+        DRIVES[0],
+        "drive: {to: side, scheme: follow}",
+        LOOK,
+        "drive: {to: far}",
+        "drive: {to: side, scheme: follow}",
+    ]
+    own = _agree(_prepared(tmp_path, segments, more=f"  - {{{effect}}}\n"), 40)
     assert own.mean() > 0.9
 
 
