@@ -51,6 +51,19 @@ def test_a_run_without_a_speed_stops_nobody(runs: list[Run]) -> None:
     assert line == "run_02: it has no speed_m_s, which most runs have: it cannot be driven"
 
 
+def test_a_switch_that_is_stuck_is_told_where_the_power_lacks_what_it_switches(runs: list[Run]) -> None:
+    """A camera that is on now and then, and in one run off all the time but logged as on."""
+    made = []
+    for number, run in enumerate(runs):
+        on = run.columns["on_kinect"]
+        seldom = on * (run.time_s < 60.0) * (number != 2)
+        columns = {**run.columns, "on_kinect": np.ones(run.rows) if number == 2 else seldom}
+        made.append(replace(run, columns=columns, power_w={"robot": run.power_w["robot"] - 2.82 * (on - seldom)}))
+    (line,) = told(made)
+    assert line.startswith("run_02: on_kinect is 1 in every row, and power_robot_w lies -2.")
+    assert line.endswith(" W beside the other runs, as if it were 0")
+
+
 def test_a_run_in_milliwatts_is_named_with_its_factor(runs: list[Run]) -> None:
     odd = replace(runs[2], power_w={"robot": 1000.0 * runs[2].power_w["robot"]})
     (line,) = told([*runs[:2], odd, *runs[3:]])
