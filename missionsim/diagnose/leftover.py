@@ -28,6 +28,8 @@ from missionsim.runs.run import Run
 RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
 TWIN = 0.985
 """Correlation beside the model from which on two columns cost the same."""
+ITS_OWN = 0.05
+"""Part of an effect, beside the model and the motion, below which only the motion makes it."""
 VARIES: Mapping[str, str] = {
     "driving straight": "speed_m_s",
     "turning on the spot": "yaw_rate_rad_s",
@@ -78,17 +80,24 @@ def goes_with(
     root = np.sqrt(design.duration_s)
     rows = {name: driven for name in names if (driven := _driven_with(name, known))}
     columns = {name: source.averaged(driven, model.clock) * root for name, driven in rows.items()}
+    # what a column that hardly changes is times turning is turning
+    plain = source.averaged([np.vstack(one) for one in _driving(known)], model.clock)
     sizes = dict(zip(model.chosen, model.gram.coefficients(model.chosen)[0], strict=True))
     told: dict[str, str] = {}
     for effect in (one.effect for one in found.effects if columns):
         own = [k for k in model.chosen if model.constraints.of_column(k).effect == effect]
         rest = [k for k in model.chosen if k not in own]
-        basis = np.linalg.svd((np.vstack([design.gradient, design.phi[rest]]) * root).T, full_matrices=False)[0]
+        others = np.vstack([design.gradient, design.phi[rest], plain]) * root
+        basis, length, _ = np.linalg.svd(others.T, full_matrices=False)
+        basis = basis[:, length > 1e-9 * length.max()]
 
         def beside(x: Array, basis: Array = basis) -> Array:
             return np.asarray(x - (x @ basis) @ basis.T)
 
-        mine = beside(sum(sizes[k] * design.phi[k] for k in own) * root)
+        whole = np.asarray(sum(sizes[k] * design.phi[k] for k in own) * root)
+        mine = beside(whole)
+        if np.linalg.norm(mine) < ITS_OWN * np.linalg.norm(whole):
+            continue
         for name, column in columns.items():
             if name in reads.get(effect, ()):
                 continue
@@ -111,11 +120,15 @@ def _driven_with(name: str, known: Sequence[Covariates]) -> list[Array]:
         of_runs = [np.atleast_2d(np.nan_to_num(np.asarray(cov[name], dtype=float))) for cov in known]
     if len(of_runs) < len(known) or not np.ptp(np.hstack(of_runs), axis=1).any():
         return []
+    return [np.vstack([x * many for many in own]) for x, own in zip(of_runs, _driving(known), strict=True)]
+
+
+def _driving(known: Sequence[Covariates]) -> list[list[Array]]:
+    """Standing, driving and turning in each run at its raw rate: ones, and the sizes of the speeds that all log."""
     speeds = [n for n in ("speed_m_s", "yaw_rate_rad_s") if all(n in cov for cov in known)]
-    times = [
+    return [
         [np.ones(np.shape(cov["time_s"])), *(np.abs(np.asarray(cov[n], dtype=float)) for n in speeds)] for cov in known
     ]
-    return [np.vstack([x * many for many in own]) for x, own in zip(of_runs, times, strict=True)]
 
 
 def standing_out(

@@ -124,9 +124,13 @@ class Gram:
         """Relative shifts of the first `count` base parameters, then shares, and their posterior covariance."""
         total, index, _, inner = self._normal(chosen, 1e-9)
         keep = np.r_[np.arange(count), np.arange(self.q, len(index))].astype(int)
-        return np.asarray(np.linalg.solve(inner, total[index, 0])[keep]), np.asarray(
-            np.linalg.inv(inner)[np.ix_(keep, keep)]
-        )
+        try:
+            covariance = np.linalg.inv(inner)
+        except np.linalg.LinAlgError:  # a column that in these runs is the base's own: a hair of ridge
+            inner = inner + np.diag(1e-9 * np.diag(inner))
+            covariance = np.linalg.inv(inner)
+        value = np.linalg.solve(inner, total[index, 0])
+        return np.asarray(value[keep]), np.asarray(covariance[np.ix_(keep, keep)])
 
     def conditional(self, chosen: Sequence[int]) -> Array:
         """[y, Phi] after the chosen columns are projected out as well, shape (1+p, 1+p)."""

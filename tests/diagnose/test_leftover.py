@@ -84,6 +84,21 @@ def test_rain_that_fell_on_the_cold_days_alone_may_be_what_the_cold_is_called(
     assert all("rain goes with it in these runs" in words for words in told.values())
 
 
+def test_a_column_that_hardly_changes_is_no_rival_of_turning() -> None:
+    """A radio signal of -60 dBm times the turn rate is the turn rate."""
+    rng, runs, logged = np.random.default_rng(3), [], []
+    for number in range(5):
+        yaw = np.repeat(rng.choice([0.0, 0.4, 0.8], 30), 10)
+        gradient = {"c4": np.full(300, 15.0)}
+        more = 4.0 * yaw + rng.normal(0.0, 0.3, 300)
+        runs.append(run_of(number, gradient, more, {"yaw": yaw}, speed_m_s=yaw, yaw_rate_rad_s=yaw))
+        logged.append({**runs[-1].covariates, "wifi_rssi_dbm": -60.0 - 4.0 * rng.random(300)})
+    one = Candidate("turning_scrub", ("yaw",), covariate="yaw_rate_rad_s")
+    found = identify(runs, [one], {"c4": 0.05})
+    assert [effect.effect for effect in found.effects] == ["turning_scrub"]
+    assert goes_with(found, logged, {}) == {}
+
+
 @pytest.mark.parametrize(
     "noise",
     [{"here_w": 0.0}, {"here_w": 12.0, "flip": True}, {"here_w": 12.0, "runs": 2}, {"here_w": 12.0, "noise_w": 8.0}],

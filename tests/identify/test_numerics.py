@@ -13,13 +13,21 @@ from missionsim.identify.align import RunColumns, make_bins
 from missionsim.identify.data import Constraints, RunData
 from missionsim.identify.design import make_source, switch_jumps
 from missionsim.identify.evidence import _chance_of_jackknife, _jackknife
-from missionsim.identify.gram import all_sets, make_gram, project, set_gains
+from missionsim.identify.gram import Gram, all_sets, make_gram, project, set_gains
 from missionsim.identify.noise import Packed, arma_of, start_noise
 from missionsim.identify.reml import _Likelihood
 from missionsim.identify.residual import hats, knots_of
 from missionsim.identify.settings import Settings
 
 from .world import averaged, library, make_runs, with_gap
+
+
+def test_a_column_that_is_the_base_itself_to_the_last_digit_is_no_fault_of_ours() -> None:
+    """Runs left out may leave a law nothing of its own: "our own fault: singular matrix"."""
+    run = 1e9 * np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    value, covariance = Gram(run[None], np.zeros(1)).joint([0], 1)
+    assert value.sum() == pytest.approx(1.0)
+    assert np.all(np.isfinite(covariance))
 
 
 @pytest.fixture(scope="module")
