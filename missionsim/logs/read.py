@@ -20,6 +20,7 @@ from missionsim.logs.clean import Rows, fill_missing, order_time
 from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
+from missionsim.logs.refresh import of_one_meter
 from missionsim.logs.times import TimeAxis
 from missionsim.numerals import counted
 from missionsim.runs.run import Run, row_durations
@@ -92,11 +93,34 @@ def read_logs(
         for file, (first, *more) in grouped(faults, lambda fault: fault.file).items():
             told = f" (line {first.line})" * bool(first.line) + f", and {len(more)} faults more" * bool(more)
             left_out.append(f"{Path(file).stem}: {first.message}{told}")
+    logs = _of_one_meter(logs)
     names = [log.run for log in logs]
     return [
         replace(log, run=f"{Path(log.source).resolve().parent.name}/{log.run}") if names.count(log.run) > 1 else log
         for log in logs
     ]
+
+
+def _of_one_meter(logs: Sequence[Run]) -> list[Run]:
+    """Runs in which a meter is refreshed as it is in the others."""
+    found = list(logs)
+    for battery in dict.fromkeys(battery for log in logs for battery in log.power_w):
+        for kind, source in _SOURCES.items():
+            own = [i for i, log in enumerate(found) if log.power_from.get(battery) == kind]
+            masks = [found[i].fresh[battery] for i in own]
+            if kind == "energy" or all(mask is None for mask in masks) or not any(mask is None for mask in masks):
+                continue
+            column = source.format(battery)
+            rows = [(found[i].power_w[battery], found[i].time_s) for i in own]
+            for i, mask, was in zip(own, of_one_meter(masks, *zip(*rows, strict=True)), masks, strict=True):
+                if mask is was:
+                    continue
+                told = [one for one in found[i].remarks if (one.kind, one.column) != ("repeated", column)]
+                if mask is not None:
+                    message = "refreshed as in the other runs, slower than its rows"
+                    told.append(Remark("repeated", column, message, "kept; each refresh counts once", "note"))
+                found[i] = replace(found[i], fresh={**found[i].fresh, battery: mask}, remarks=tuple(told))
+    return found
 
 
 def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:

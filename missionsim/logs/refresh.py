@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ _PLATEAUS = 8
 """Of no more distinct values, equal ones are plateaus."""
 _SHORT = 0.05
 """Part of the readings of a rounded topic that may be shorter than its period."""
+_OFTEN = 0.2
+"""Part of the readings that last several periods, from which on they are the same reading made again: few messages of a
+topic get lost."""
 _ROUNDED = 10.0
 """A meter that usually moves by fewer of its steps reads the same again now and then."""
 
@@ -31,11 +35,11 @@ class Refresh:
     """Typical time between them [s]."""
 
 
-def refreshes(values: Array, time_s: Array) -> Refresh | None:
+def refreshes(values: Array, time_s: Array, period_s: float | None = None) -> Refresh | None:
     """Find out whether a column repeats the values of a slower topic.
 
-    `values`, `time_s`: shape (n,). Gives None where the column changes in most rows, or stays for other reasons: at a
-    plateau, or standing still.
+    `values`, `time_s`: shape (n,). `period_s`: how often it is refreshed, where that is known. Gives None where the
+    column changes in most rows, or stays for other reasons: at a plateau, or standing still.
 
     A slower topic shows as runs of equal values of nearly equal length whose values hardly ever come back; a coarse
     meter or a robot that stands still gives runs of every length, or few distinct values. A slower topic that is
@@ -57,11 +61,11 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
     if alive.sum() < 4:
         return None
     lengths = lengths[alive]
-    typical = float(np.median(lengths))
     step_s = float(np.median(np.diff(time_s[: min(n, 20000)])))
+    typical = float(np.median(lengths)) if period_s is None else period_s / step_s
     distinct = len(np.unique(values[starts[:2000]]))
     regular = np.abs(lengths - typical) <= max(1.0, 0.35 * typical)
-    if distinct < 0.25 * min(len(starts), 2000) or np.mean(regular) < 0.6:
+    if period_s is None and (distinct < 0.25 * min(len(starts), 2000) or np.mean(regular) < 0.6):
         typical = float(np.median(lengths[lengths <= 1.5 * np.quantile(lengths, 0.25)]))
         whole = np.abs(lengths - np.round(lengths / typical) * typical) <= max(1.0, 0.15 * typical)
         if distinct <= _PLATEAUS or np.mean(lengths < 0.65 * typical) > _SHORT or np.mean(whole) < 0.6:
@@ -70,8 +74,31 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
         return None
     grain = float(np.min(np.diff(np.unique(values))))  # the least difference between two readings
     rounded = float(np.median(np.abs(np.diff(values[starts])))) < _ROUNDED * grain
+    # of a coarse current times a voltage that drifts, the least difference is that of the voltage
+    rounded |= float(np.mean(lengths > 1.5 * typical)) > _OFTEN
     for start, length in zip(starts, every, strict=True) if rounded else ():
         if length * step_s < _SLOWEST_S:
             again = start + np.round(np.arange(1, round(length / typical)) * typical).astype(int)
             change[again] = True
     return Refresh(change, typical * step_s)
+
+
+def of_one_meter(
+    masks: Sequence[Bools | None], values: Sequence[Array], times_s: Sequence[Array]
+) -> list[Bools | None]:
+    """Rows of each run in which a meter was really refreshed; None where every row is. As in the runs that are the
+    longer ones together, where some of one meter show a slower topic and others do not: the readings of a coarse one
+    come back by chance, and half a refresh between runs is taken for their clocks.
+
+    `masks`: what each run shows alone; `values`, `times_s`: its power [W] and time [s], shape (n,).
+    """
+    seconds = [float(time_s[-1] - time_s[0]) for time_s in times_s]
+    held = [(mask, time_s) for mask, time_s in zip(masks, times_s, strict=True) if mask is not None and mask.sum() > 1]
+    if 2.0 * sum(s for s, mask in zip(seconds, masks, strict=True) if mask is not None) < sum(seconds) or not held:
+        return [None] * len(masks)
+    period_s = float(np.median([np.median(np.diff(time_s[mask])) for mask, time_s in held]))
+    found: list[Bools | None] = []
+    for mask, value, time_s in zip(masks, values, times_s, strict=True):
+        seen = refreshes(value, time_s, period_s) if mask is None else None
+        found.append(mask if seen is None else seen.fresh)
+    return found

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log
+from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log, read_logs
 from missionsim.logs.obstacles import clock_delay
 from missionsim.logs.raw import power_from_energy
 from missionsim.logs.refresh import refreshes
@@ -546,6 +546,40 @@ def test_a_coarse_meter_that_is_read_once_a_second_is_seen_in_every_run(seconds:
     assert refreshes(0.5 * np.round(2.0 * each_row), time) is None
     duty = np.repeat(np.tile([11.0, 14.0], seconds // 2), 10)  # a load that comes and goes is no topic
     assert refreshes(duty, time) is None
+
+
+def test_a_coarse_current_times_a_voltage_that_drifts_was_refreshed_each_time() -> None:
+    """Whose least difference is that of the voltage, not what the meter can tell."""
+    rng = np.random.default_rng(6)
+    speed = np.repeat(rng.choice([0.0, 0.2, 0.5], 80), 10)
+    amps = np.round(10.0 * (1.0 + 2.0 * speed + rng.normal(0.0, 0.04, 800))) / 10.0
+    volts = np.repeat(np.round(25.2 - 0.0004 * np.arange(80), 2), 10)  # moves by a step every 200 s
+    held = refreshes(np.repeat(amps * volts, 5), 0.05 * np.arange(4000))
+    assert held is not None
+    assert held.period_s == pytest.approx(0.25)
+    assert {*range(0, 4000, 5)} - {*np.flatnonzero(held.fresh).tolist()} == set()
+
+
+@pytest.mark.parametrize(("seconds", "held"), [((60.0, 60.0, 40.0), True), ((60.0, 60.0, 200.0), False)])
+def test_a_meter_is_refreshed_alike_in_all_runs(tmp_path: Path, seconds: tuple[float, ...], held: bool) -> None:
+    """In one its readings came back too often: half a refresh later than in the others, which their clocks took."""
+    rng = np.random.default_rng(7)
+    for number, (length, by_chance) in enumerate(zip(seconds, (0.0, 0.0, 0.12), strict=True)):
+        watts = 2.5 * np.round(8.0 + 3.0 * rng.normal(size=int(4 * length)))
+        power = np.repeat(watts, 5)
+        for at in np.flatnonzero(rng.random(len(watts)) < by_chance):  # the voltage was read in between
+            power[5 * at + 2 : 5 * at + 5] += 0.1
+        columns = {"time_s": 0.05 * np.arange(len(power)), "power_robot_w": power}
+        write_csv(tmp_path / f"run{number}.csv", columns | {"speed_m_s": 0.5 + 0.01 * rng.normal(size=len(power))})
+    alone = [read_log(tmp_path / f"run{i}.csv").fresh["robot"] is not None for i in range(3)]
+    assert alone == [True, True, False]
+    together = read_logs(tmp_path)
+    assert [log.fresh["robot"] is not None for log in together] == [held] * 3
+    told = [[r.message for r in log.remarks if (r.kind, r.column) == ("repeated", "power_robot_w")] for log in together]
+    assert [len(words) for words in told] == [int(held)] * 3
+    if held:
+        assert told[2] == ["refreshed as in the other runs, slower than its rows"]
+        assert together[2].reading_s("robot") == pytest.approx(0.25)
 
 
 def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
