@@ -227,6 +227,29 @@ def test_faults_tell_their_line(name: str, old: str, new: str, says: str, tmp_pa
     assert len(caught.value.faults) == 1 or says in ("stands twice", "an edge that leads to no node")
 
 
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (" \n", "the file is empty"),
+        ("<kml></kml>", "no format that is known"),
+        ("<!DOCTYPE gpx [<!ENTITY a 'b'>]><gpx>&a;</gpx>", "document type declarations are not read"),
+        ("<gpx>" * 70 + "</gpx>" * 70, "nested too deeply"),
+        ("<gpx></gpx>", "without tracks, routes and waypoints"),
+        ("[" * 70 + "]" * 70, "nested too deeply"),
+        ('{"a": 1, "a": 2}', "key 'a' stands twice"),
+        ('{"a": }', "not JSON: expecting value"),
+        ('{"$schema": "https://json-schema.org/draft/2020-12/schema"}', "a JSON schema, not a file that follows it"),
+        ("rmf_fleet: {name: tinyRobot}", "a fleet, not a site"),
+        ("names: [a, b]", "no format that is known"),
+        ('{"layouts": [{"nodes": []}]}', "a layout without nodes"),
+    ],
+)
+def test_what_is_no_site_is_told(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "site").write_text(text)
+    with pytest.raises(InputError, match=says):
+        import_site(tmp_path / "site")
+
+
 def test_command_writes_both_files_or_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, mission, told = tmp_path / "s.yaml", tmp_path / "m.yaml", tmp_path / "told.json"
     arguments = ["import-site", str(FILES / "rover.plan"), "--out", str(out), "--mission", str(mission)]

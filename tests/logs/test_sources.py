@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import json
+import re
 import tracemalloc
 from pathlib import Path
 
@@ -180,6 +181,20 @@ def test_three_files_of_a_run(tmp_path: Path, fill: str) -> None:
         "taken as UTC",
     ):
         assert words in told
+
+
+def test_a_file_that_has_times_of_day_only_has_the_day_of_the_others(tmp_path: Path) -> None:
+    """Until ten seconds before their end: the rows of the others after that are left out, with a note."""
+    power, *_ = loggers.write_three(tmp_path / "run")
+    (dated,) = run(tmp_path, MAP.replace("FILL", "hold"), tmp_path / "run")
+    lines = re.sub(r"\d\d\.\d\d\.\d{4} ", "", power.read_text("latin-1")).splitlines(keepends=True)
+    power.write_text("".join(lines[:-100]), "latin-1")
+    (log,) = run(tmp_path, MAP.replace("FILL", "hold"), tmp_path / "run")
+    assert log.rows == dated.rows - 100
+    np.testing.assert_allclose(log.power_w["robot"], dated.power_w["robot"][:-100])
+    told = " ".join(map(str, log.remarks))
+    assert "a file has times of day only; the day is that of the other file" in told
+    assert "lie outside the other files; these were left out" in told
 
 
 def test_files_that_do_not_belong_together(tmp_path: Path) -> None:
