@@ -78,6 +78,15 @@ def test_page_asks_for_nothing_and_forbids_it(comparison: Comparison) -> None:
     assert len(html) < MOST_BYTES
 
 
+@pytest.mark.parametrize(("times", "side"), [(1.01, "within"), (0.99, "outside")])
+def test_the_tolerance_that_was_asked_for_is_the_verdict(comparison: Comparison, times: float, side: str) -> None:
+    (battery,) = comparison.batteries.values()
+    tolerance = times * abs(battery.energy_error_pct)
+    told = f"The energy error is {side} the tolerance of ± {tolerance:g} %."
+    assert told in compare_page(comparison, tolerance_pct=tolerance)
+    assert "the tolerance of" not in compare_page(comparison)
+
+
 def test_a_run_that_was_left_out_stands_beside_the_result(comparison: Comparison) -> None:
     assert "Left out" not in compare_page(comparison)
     html = compare_page(replace(comparison, left_out=("ice_11: 0.319 times the other runs",)))
