@@ -66,9 +66,12 @@ def refreshes(values: Array, time_s: Array, period_s: float | None = None) -> Re
     distinct = len(np.unique(values[starts[:2000]]))
     regular = np.abs(lengths - typical) <= max(1.0, 0.35 * typical)
     if period_s is None and (distinct < 0.25 * min(len(starts), 2000) or np.mean(regular) < 0.6):
-        typical = float(np.median(lengths[lengths <= 1.5 * np.quantile(lengths, 0.25)]))
+        typical = float(np.argmax(np.bincount(lengths)))
         whole = np.abs(lengths - np.round(lengths / typical) * typical) <= max(1.0, 0.15 * typical)
-        if distinct <= _PLATEAUS or np.mean(lengths < 0.65 * typical) > _SHORT or np.mean(whole) < 0.6:
+        # one in two pieces: a product whose other factor changed in between
+        both = np.abs((every[1:] + every[:-1]) - np.round((every[1:] + every[:-1]) / typical) * typical) <= 0.5
+        short = (lengths < 0.65 * typical) & ~(both[1:] | both[:-1])[alive]
+        if distinct <= _PLATEAUS or np.mean(short) > _SHORT or np.mean(whole) < 0.6:
             return None
     if typical < 2 or typical * step_s > _SLOWEST_S:
         return None
