@@ -26,6 +26,9 @@ _DROWNING = 1e100
 """Larger numbers overflow when they are squared and summed."""
 _REORDER_S = 2.0
 """Rows out of order by less than this are sorted; more means that the clock was set or that runs were joined."""
+_CLASHING = 0.1
+"""More rows than this part with another's time and other values are no jitter of a clock, but times too coarse for the
+rows or two recordings in one file (assumed)."""
 
 
 @dataclass
@@ -119,25 +122,34 @@ def order_time(rows: Rows) -> None:
 
 def _merge_duplicates(rows: Rows) -> None:
     first = np.r_[True, np.diff(rows.time) > 0]
-    starts = np.flatnonzero(first)
+    starts, n = np.flatnonzero(first), len(first)
     group = np.cumsum(first) - 1
-    same = True
+    single = np.diff(np.r_[starts, n]) == 1
+    differs = np.zeros(n, dtype=bool)
     merged: dict[str, ColumnData] = {}
     for name, data in rows.columns.items():
+        values = data.codes if isinstance(data, Labels) else data
+        known = data.codes >= 0 if isinstance(data, Labels) else np.isfinite(data)
+        # the first of a time that has a value: a hole beside it is no other value
+        lead = np.minimum.reduceat(np.where(known, np.arange(n), n), starts)
+        lead = np.where(lead < n, lead, starts)
+        differs |= known & (values != values[lead][group])
         if isinstance(data, Labels):
-            same = same and bool((data.codes == data.codes[starts][group]).all())
-            merged[name] = data[starts]
+            merged[name] = data[lead]
             continue
-        known = np.isfinite(data)
         number = np.add.reduceat(known.astype(float), starts)
         total = np.add.reduceat(np.where(known, data, 0.0), starts)
-        same = same and bool(np.all((data == data[starts][group]) | ~known))
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = total / number
-        merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
-    told = f"{counted(int((~first).sum()), 'row')} with the time of the row before{', with other values' * (not same)}"
-    action = "one row was kept for each time" + ("" if same else ", with the mean of the values")
-    rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", ~first)
+        merged[name] = np.where(single, data[starts], mean)
+    repeats, kept = ~first & ~differs, "one row was kept for each time"
+    if repeats.any():
+        told = f"{counted(int(repeats.sum()), 'row')} with the time of the row before"
+        rows.remark("duplicate", "time_s", told, kept, "warning", repeats)
+    if differs.any():
+        told = f"{counted(int(differs.sum()), 'row')} with the time of the row before and other values"
+        severity = "error" if differs.mean() > _CLASHING else "warning"
+        rows.remark("duplicate", "time_s", told, f"{kept}, with the mean of the values", severity, differs)
     rows.columns, rows.row = merged, rows.row[starts]
 
 

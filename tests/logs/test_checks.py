@@ -105,8 +105,43 @@ def test_duplicates(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.power_w["robot"], columns["power_robot_w"], rtol=1e-8)
     again["power_robot_w"][50] += 2.0
     log = read(tmp_path, again)
-    assert found(log, "duplicate").severity == "error"
+    assert found(log, "duplicate").severity == "warning"
     assert log.power_w["robot"][49] == pytest.approx(columns["power_robot_w"][49] + 1.0, rel=1e-8)
+
+
+def test_a_repeat_with_other_values_is_told_by_itself_and_costs_no_run(tmp_path: Path) -> None:
+    columns = motion()
+    twice = np.repeat(np.arange(400), np.where(np.arange(400) % 20 == 7, 2, 1))
+    again = {name: data[twice] for name, data in columns.items()}
+    other = int(np.flatnonzero(np.diff(again["time_s"]) == 0.0)[4]) + 1
+    again["yaw_rate_rad_s"] = again.get("yaw_rate_rad_s", np.zeros(len(twice))) + 0.0
+    again["yaw_rate_rad_s"][other] += 0.001
+    log = read(tmp_path, again)
+    same, differs = (r for r in log.remarks if r.kind == "duplicate")
+    assert (same.count, same.line, same.severity) == (19, 10, "warning")
+    assert same.message == "19 rows with the time of the row before"
+    assert (differs.count, differs.line, differs.severity) == (1, other + 2, "warning")
+    assert differs.message == "1 row with the time of the row before and other values"
+    assert not [fault for fault in check_log(tmp_path / "run.csv") if fault.severity == "error"]
+
+
+@pytest.mark.parametrize(("part", "refused"), [(0.08, False), (0.12, True), (0.5, True)])
+def test_many_times_with_other_values_are_refused(tmp_path: Path, part: float, refused: bool) -> None:
+    columns = motion()
+    # of each hundred rows some have the time of the row before
+    step = round(1.0 / part)
+    columns["time_s"] = np.where(np.arange(400) % step == 1, np.roll(columns["time_s"], 1), columns["time_s"])
+    log = read(tmp_path, columns)
+    assert (found(log, "duplicate").severity == "error") == refused
+
+
+def test_a_value_beside_a_hole_at_the_same_time_is_no_other_value(tmp_path: Path) -> None:
+    columns = motion()
+    again = {name: np.insert(data, 50, data[49]) for name, data in columns.items()}
+    again["power_robot_w"][49] = np.nan
+    log = read(tmp_path, again)
+    assert found(log, "duplicate").message == "1 row with the time of the row before"
+    np.testing.assert_allclose(log.power_w["robot"], columns["power_robot_w"], rtol=1e-8)
 
 
 def test_gap_and_lost_rows_keep_the_time(tmp_path: Path) -> None:
