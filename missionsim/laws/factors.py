@@ -34,6 +34,8 @@ SATURATES = np.array([0.1, 0.2, 0.3, 0.4, 0.6, 0.9])
 """Loads of a processor at which its power may level off."""
 BENDS_AT = np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2])
 """The same of a speed and a turn rate, in parts of a slow one."""
+AROUND = np.radians(np.arange(0.0, 360.0, 15.0))
+"""Directions of the compass that something may come from."""
 TENTHS = np.linspace(0.1, 0.9, 9)
 EVENLY = 15
 """Thresholds between the lowest and the highest value that the runs hold."""
@@ -203,6 +205,8 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         b.family("cpu_load", "tanh(cpu_load / #)", "tanh(load/#)", 2, SATURATES, (0.3,))
         b.beyond("cpu_load", (0.5,))
         b.late("cpu_load", "cpu_load", "load")
+    if b.has("heading_rad"):  # a wind, or a field that leans one way
+        b.family("heading_rad", "cos(heading_rad - #)", "cos(heading − #)", 2, AROUND, AROUND[::3])
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name) and (clocks or name != "time_s"):
             b.powers(name, name, SYMBOLS[name], powers)
@@ -305,6 +309,9 @@ def _further(b: _Builder, name: str) -> None:
         for sign, shown in (("+", "+"), ("-", "−")):
             through = f"(abs(speed_m_s) {sign} {name})"
             b.add(name, f"{through} * abs{through}", f"(v {shown} {name})·|v {shown} {name}|", 2)
+        if b.has("heading_rad"):  # one from a direction of the compass
+            through, shown = f"(abs(speed_m_s) + {name} * cos(heading_rad - #))", f"(v + {name}·cos(heading − #))"
+            b.family(name, f"{through} * abs{through}", f"{shown}·|{shown[1:-1]}|", 2, AROUND, AROUND[::3])
 
 
 def _switched(b: _Builder, name: str, clocks: bool) -> None:

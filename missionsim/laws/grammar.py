@@ -189,8 +189,10 @@ class Grammar:
         return unit_of(self.text(form))
 
     def variables(self, form: Sequence[int]) -> tuple[str, ...]:
-        """Quantities that a law is about; a memory of a quantity counts as the quantity."""
-        return tuple(dict.fromkeys(self.factors[i].variable.partition(" ")[0] for i in form))
+        """Quantities that a law is about; a memory of a quantity counts as the quantity. A wind has a direction."""
+        factors = [self.factors[i] for i in form]
+        heading = ["heading_rad"] if any("heading_rad" in one.text for one in factors) else []
+        return tuple(dict.fromkeys([*(one.variable.partition(" ")[0] for one in factors), *heading]))
 
     def memory(self, form: Sequence[int]) -> bool:
         """Whether it reads what was before: a first-order lag."""

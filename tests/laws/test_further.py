@@ -18,6 +18,8 @@ from missionsim.runs.covariates import may_be_cause, remarks_on, repeated
 
 from .found import identified, law_of, run_of
 
+LEANS = "k * abs(speed_m_s) * cos(heading_rad - #)"
+
 
 def drives() -> list[dict[str, Any]]:
     """Two runs with an arm, a hill and the same speed in several units."""
@@ -223,6 +225,32 @@ def test_few_runs_show_no_long_products(runs: int, far_off: int, close: int) -> 
         Search(SimpleNamespace(design=design, model=SimpleNamespace(squares=squares)), grammar) for squares in (1, None)
     )
     assert (len(far.by_size), len(near.by_size)) == (far_off, close)
+
+
+@pytest.mark.usefixtures("laws_at_once")
+@pytest.mark.parametrize("logged", [True, False])
+def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
+    """A wind of which the strength is logged, and a field that leans without an inclinometer: 29 W off and "log it as a
+    column" before."""
+    rng, runs = np.random.default_rng(4), []
+    for number in range(5):
+        rows, wind = 1200, [5.0, 3.0, 7.0, 1.0, 4.0][number]
+        speed = np.repeat(rng.uniform(0.0, 3.0, rows // 40), 40) * (np.arange(rows) % 240 > 30)
+        heading = np.repeat(rng.uniform(-np.pi, np.pi, rows // 80), 80) + 0.02 * rng.standard_normal(rows)
+        through = speed + wind * np.cos(heading - 0.8)
+        costs = speed * through * np.abs(through) if logged else 35.0 * speed * np.cos(heading - 0.8)
+        gradient = {"c3": 40.0 * speed, "c4": 30.0 * (speed > 0), "standing": 25.0 * (speed == 0)}
+        columns = {"speed_m_s": speed, "heading_rad": heading} | ({"wind_m_s": np.full(rows, wind)} if logged else {})
+        runs.append(run_of(number, gradient, costs + 1.5 * rng.standard_normal(rows), **columns))
+    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
+    through_air = "(abs(speed_m_s) + wind_m_s * cos(heading_rad - #))"
+    formula = f"k * abs(speed_m_s) * {through_air} * abs{through_air}" if logged else LEANS
+    told = re.sub(r"(?<=heading_rad - )[\d.]+", "#", made.first.formula)
+    assert told == formula
+    for angle in re.findall(r"heading_rad - ([\d.]+)", made.first.formula):
+        assert float(angle) == pytest.approx(0.8, abs=0.03)
+    assert made.first.k == pytest.approx(1.0 if logged else 35.0, rel=0.03)
+    assert "heading_rad" in made.certain
 
 
 @pytest.mark.usefixtures("laws_at_once")
