@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from missionsim.diagnose.features import Features, effect_columns
-from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
+from missionsim.diagnose.manoeuvres import STRAIGHT_1_M, Manoeuvre, Site, library, script, shortened
 from missionsim.effects.model import PowerModel
 from missionsim.fit.prepare import prepare
 from missionsim.identify.data import Constraints, RunData
@@ -111,12 +111,15 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             form = "to see whether what no column shows is there at rest too, or only in motion"
         if "run" in on:
             do = "note what differed between these runs (floor, tyres, load, weather), and log it as a column"
+            if along := dict.fromkeys(name for one in left.structures for name in one.columns):
+                do = f"more runs that differ in {' or '.join(along)} and in nothing else (floor, tyres, load)"
             proposed.append(Experiment(on, do))
             may_be = dict.fromkeys(name for one in left.structures for name in one.effects)
             proposed += propose(bench, tuple(may_be))
         names = [name for covariate in on for name in _SHOWS.get(covariate, ())]
         shown = [m for m in library(bench.site) if m.name in names]
-        if names and not shown and np.isfinite(bench.site.curvature_1_m):
+        # a robot that has driven curves, or may turn on the spot, has a manoeuvre of turning
+        if "yaw_rate_rad_s" in on and not shown and bench.site.curvature_1_m <= STRAIGHT_1_M:
             why = "it cannot turn on the spot, and these logs have no curve: log some"
             proposed.append(Experiment(on, f"no manoeuvre that this robot can drive is known {form}: {why}"))
         for one in shown[:2]:

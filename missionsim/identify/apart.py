@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,9 @@ HALF = 0.5
 """Part of what runs differ by that they differ by at rest too, from which on a meter may be it."""
 ALONG, ALONG_LEVEL = 0.9, 0.01
 """Correlation over the runs from which on what they differ by goes with a column, and the most that chance may have."""
+STAYS, BY_CHANCE = 0.1, 0.1
+"""Spread within runs, of that between them, below which a column differs between runs alone; chance that as good an
+order of one of these columns may have (assumed)."""
 _ANY_DRIVE = MOTION | {"moving_time_s", "time_s"}
 """What any drive has more or less of."""
 
@@ -65,8 +69,14 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
         ", several times what meters and drives usually do: something that changes from run to run is missing; "
         f"{costs} most in {most} and least in {least}"
     )
+    chance = 0.0
     if along := _goes_with(model, drawn.sum(axis=1)):
         words += f"; from run to run it goes with {' and '.join(along)}"
+    else:
+        along, chance = _in_order(model, drawn.sum(axis=1))
+    if along and chance:
+        words += f"; it may be {' or '.join(along)}, in whose order these {len(drawn)} runs cost, of the columns that "
+        words += f"differ between them alone (by chance so in {100 * chance:.1g} % of cases)"
     if any(_once_each(model, number) for number in range(len(constraints.candidates))):
         words += "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
     constant = _constant_causes(model)
@@ -74,7 +84,7 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
         words += (
             f"; it may be {' or '.join(constant)}, whose cause is constant in runs, of which these are too few to tell"
         )
-    return Structure("run", 0.0, 0.0, size, words, effects=tuple(constant)), ""
+    return Structure("run", 0.0, 0.0, size, words, effects=tuple(constant), columns=tuple(along)), ""
 
 
 def _once_each(model: Model, number: int) -> bool:
@@ -110,6 +120,21 @@ def _goes_with(model: Model, drawn: Array) -> list[str]:
             if 2.0 * float(stdtr(count - 2, -t)) < ALONG_LEVEL / len(names) and r > ALONG:
                 found[name] = r
     return sorted(found, key=lambda name: -found[name])
+
+
+def _in_order(model: Model, drawn: Array) -> tuple[list[str], float]:
+    """Columns that differ between runs alone and in whose order, or the reverse, all runs cost; and the chance that one
+    of the columns that differ so would be. None where chance does it too often: three runs are always in some order."""
+    runs, count, found = model.source.runs, 0, list[str]()
+    for name in (n for n in model.source.covariates if may_be_cause(n) and n not in _ANY_DRIVE):
+        values = [np.asarray(run.covariates[name], dtype=float) for run in runs]
+        means = np.array([float(np.nanmean(one)) for one in values])
+        if len({*means}) == len(runs) and max(float(np.nanstd(one)) for one in values) < STAYS * np.std(means):
+            count += 1
+            ranked = np.diff(means[np.argsort(drawn)])
+            found += [name] if np.all(ranked > 0.0) or np.all(ranked < 0.0) else []
+    chance = 2.0 * count / math.factorial(len(runs))
+    return (found, chance) if chance < BY_CHANCE else ([], 0.0)
 
 
 def _at_rest(model: Model, drawn: Array) -> float | None:

@@ -31,6 +31,8 @@ class Structure:
     """Covariate that its curve is multiplied by, if any."""
     effects: tuple[str, ...] = ()
     """Effects that it may be, which the runs, too few or in such an order, do not tell."""
+    columns: tuple[str, ...] = ()
+    """Logged columns that it goes with, or may, from run to run."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -129,6 +130,23 @@ def test_of_a_car_that_never_turned_it_is_said_that_no_drive_shows_it(monkeypatc
         site = site_of([covariates()], LIMITS if on_the_spot else car_most(covariates()))
         bench = SimpleNamespace(site=site, features=SimpleNamespace(candidates=[]))
         assert experiments.next_experiments(bench, [], left)[0].do.startswith(told)
+
+
+@pytest.mark.parametrize("on", ["time_s", "slope_rad"])
+def test_of_a_car_whose_logs_have_curves_it_is_not_said_that_they_have_none(
+    monkeypatch: pytest.MonkeyPatch, on: str
+) -> None:
+    """ "It cannot turn on the spot, and these logs have no curve: log some" came with any dependence that the place
+    shows no manoeuvre for, whatever the logs held."""
+    monkeypatch.setattr(experiments, "propose", lambda *_: [])
+    turned = covariates(yaw_rate_rad_s=np.tile(np.repeat([0.0, 0.5], 50), 2) / 5.0)
+    site = replace(site_of([turned], car_most(turned)), components={})
+    bench = SimpleNamespace(site=site, features=SimpleNamespace(candidates=[]))
+    for left in (
+        SimpleNamespace(depends_on=[on], structures=[]),
+        SimpleNamespace(depends_on=[on, "run"], structures=[]),
+    ):
+        assert not [one.do for one in experiments.next_experiments(bench, [], left) if "curve" in one.do]
 
 
 def test_the_robot_file_says_what_its_drive_can() -> None:

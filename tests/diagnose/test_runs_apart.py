@@ -106,6 +106,44 @@ def test_what_costs_no_more_at_rest_is_no_meter(tmp_path: Path) -> None:
     assert "at rest too" not in " ".join(found.remarks)
     assert found.verdict == "unexplained_structure"
     assert "from run to run it goes with rain_mm_h" in found.unexplained.shape
+    assert not [one.do for one in found.next_experiments if "log it as a column" in one.do]
+
+
+@pytest.mark.parametrize(
+    ("winds", "told"),
+    [((2.2, 2.0, 9.0, 1.0), True), ((2.2, 2.0, 1.0, 9.0), False), ((2.2, 2.0, 9.0), False)],
+    ids=["in order", "in another order", "three runs"],
+)
+def test_a_logged_column_in_whose_order_few_runs_cost_is_named(
+    tmp_path: Path, winds: tuple[float, ...], told: bool
+) -> None:
+    """Four runs are too few for a correlation, but "log it as a column" is no answer to one that is logged, does not
+    change in any run, and in whose order the runs cost."""
+    rng = np.random.default_rng(3)
+    (tmp_path / "own.yaml").write_text(ROBOT)
+    logs = []
+    for number, (wind, cost) in enumerate(zip(winds, (1.06, 0.96, 1.2, 0.85), strict=False)):
+        speed = np.repeat(rng.choice([0.0, 0.4, 0.8, 1.2], 40), 15)
+        noise = np.zeros(600)
+        for i in range(1, 600):
+            noise[i] = 0.8 * noise[i - 1] + rng.normal(0.0, 0.3)
+        power = np.where(speed > 0.0, cost * (5.0 + 40.0 * speed + 4.0 * speed**2), 24.0) + noise
+        logs.append(tmp_path / f"run{number:02d}.csv")
+        rows = np.arange(600) + 0.5
+        table = np.column_stack([rows, speed, power, np.full(600, wind), -60.0 + number + np.sin(rows / 20.0)])
+        header = "time_s,speed_m_s,power_main_w,wind_speed_m_s,wifi_rssi_dbm"
+        np.savetxt(logs[-1], table, delimiter=",", header=header, comments="", fmt="%.4f")
+    found = diagnose(tmp_path / "own.yaml", logs, holdout="none").batteries["main"]
+    assert "what the same motion costs" in found.unexplained.shape
+    words = (
+        "; it may be wind_speed_m_s, in whose order these 4 runs cost, of the columns that differ between them alone "
+        "(by chance so in 8 % of cases)"
+    )
+    assert (words in found.unexplained.shape) == told
+    assert ("wind_speed_m_s" in found.unexplained.shape) == told
+    do = [one.do for one in found.next_experiments]
+    assert any("log it as a column" in one for one in do) != told
+    assert any("more runs that differ in wind_speed_m_s" in one for one in do) == told
 
 
 def test_a_robot_that_moves_sideways_does_not_rest(tmp_path: Path) -> None:
