@@ -102,6 +102,7 @@ class _Builder:
         *,
         kind: str = "",
         more: tuple[float, ...] = (),
+        alone: bool = False,
     ) -> None:
         """Factors that differ in one number, # in their text; those nearest to `coarse` enter the first pass."""
         numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
@@ -113,11 +114,11 @@ class _Builder:
 
         def another(n: float) -> tuple[Factor, Values]:
             numbers, new = (n, *more), told(n)
-            factor = Factor(*new, rank, kind=own, numbers=numbers, fine=True, halved=True, another=another)
+            factor = Factor(*new, rank, kind=own, numbers=numbers, fine=True, alone=alone, halved=True, another=another)
             return factor, self.evaluated(new[1])
 
         for n in numbers:
-            self.add(*told(n), rank, kind=own, numbers=(n, *more), fine=n not in first, another=another)
+            self.add(*told(n), rank, kind=own, numbers=(n, *more), fine=n not in first, alone=alone, another=another)
 
     def powers(self, name: str, text: str, symbol: str, powers: Sequence[int], fine: bool = False) -> None:
         """Powers of a quantity; with `fine`, those between them too, for the second pass alone."""
@@ -205,8 +206,9 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         b.family("cpu_load", "tanh(cpu_load / #)", "tanh(load/#)", 2, SATURATES, (0.3,))
         b.beyond("cpu_load", (0.5,))
         b.late("cpu_load", "cpu_load", "load")
-    if b.has("heading_rad"):  # a wind, or a field that leans one way
-        b.family("heading_rad", "cos(heading_rad - #)", "cos(heading − #)", 2, AROUND, AROUND[::3])
+    if b.has("speed_m_s") and b.has("heading_rad"):  # a wind, or a field that leans one way
+        leans = ("abs(speed_m_s) * cos(heading_rad - #)", "v·cos(heading − #)")
+        b.family("heading_rad", *leans, 2, AROUND, AROUND[::3], alone=True)
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name) and (clocks or name != "time_s"):
             b.powers(name, name, SYMBOLS[name], powers)
@@ -311,7 +313,8 @@ def _further(b: _Builder, name: str) -> None:
             b.add(name, f"{through} * abs{through}", f"(v {shown} {name})·|v {shown} {name}|", 2)
         if b.has("heading_rad"):  # one from a direction of the compass
             through, shown = f"(abs(speed_m_s) + {name} * cos(heading_rad - #))", f"(v + {name}·cos(heading − #))"
-            b.family(name, f"{through} * abs{through}", f"{shown}·|{shown[1:-1]}|", 2, AROUND, AROUND[::3])
+            drag = (f"abs(speed_m_s) * {through} * abs{through}", f"v·{shown}·|{shown[1:-1]}|")
+            b.family(name, *drag, 2, AROUND, AROUND[::3], alone=True)
 
 
 def _switched(b: _Builder, name: str, clocks: bool) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.base_terms import unit_named
-from missionsim.expressions import Powers, units_in
+from missionsim.expressions import Powers, compile_expression, units_in
 from missionsim.identify.proposed import CLOCKS
 from missionsim.physics import Array
 
@@ -48,6 +48,8 @@ class Factor:
     numbers: tuple[float, ...] = ()
     fine: bool = False
     """One of the numbers between those that the first pass tries."""
+    alone: bool = False
+    """Whether it is a whole law, which nothing is multiplied with."""
     halved: bool = False
     """Whether the first number lies between two of those that the logs gave."""
     another: Callable[[float], tuple[Factor, Values]] | None = field(default=None, compare=False, repr=False)
@@ -98,12 +100,13 @@ class Grammar:
         number = {name: i for i, name in enumerate(dict.fromkeys(names))}
         of = np.array([number[name] for name in names], dtype=np.intp)
         plain = np.array([not self.memory([i]) for i in range(len(self.factors))], dtype=bool)
+        alone = np.array([f.alone for f in self.factors], dtype=bool)
         used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or plain[i])]
         found = []
         for size in range(1, (MOST_LATE if memory else MOST_FACTORS) + 1):
             rows = np.array(list(combinations(used, size)), dtype=np.intp).reshape(-1, size)
             variables = of[rows]
-            keep = plain[rows].all(axis=1) != memory
+            keep = (plain[rows].all(axis=1) != memory) & ((size == 1) | ~alone[rows].any(axis=1))
             for i, j in combinations(range(size), 2):
                 keep &= variables[:, i] != variables[:, j]
             found.append(rows[keep])
@@ -189,10 +192,13 @@ class Grammar:
         return unit_of(self.text(form))
 
     def variables(self, form: Sequence[int]) -> tuple[str, ...]:
-        """Quantities that a law is about; a memory of a quantity counts as the quantity. A wind has a direction."""
-        factors = [self.factors[i] for i in form]
-        heading = ["heading_rad"] if any("heading_rad" in one.text for one in factors) else []
-        return tuple(dict.fromkeys([*(one.variable.partition(" ")[0] for one in factors), *heading]))
+        """Quantities that a law is about; a memory of a quantity counts as the quantity."""
+        read = (compile_expression(f.text).names if f.alone else {f.variable.partition(" ")[0]} for f in self.of(form))
+        return tuple(dict.fromkeys(name for names in read for name in sorted(names)))
+
+    def of(self, form: Sequence[int]) -> list[Factor]:
+        """The factors of a law."""
+        return [self.factors[i] for i in form]
 
     def memory(self, form: Sequence[int]) -> bool:
         """Whether it reads what was before: a first-order lag."""
