@@ -206,7 +206,7 @@ def check_order(rows: Rows) -> None:
 
 
 def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
-    """Tell a speed or yaw rate whose noise at rest is above the limits of standing still. `power_w`: what the battery
+    """Tell a speed or yaw rate whose noise or bias at rest is above the limits of standing still. `power_w`: what the battery
     of the motors delivers, which says what is rest where no speed does."""
     number = [rows.number(name) for name in ("speed_m_s", "yaw_rate_rad_s")]
     speed, yaw = (None if data is None else np.abs(data[:_SAMPLE]) for data in number)
@@ -218,21 +218,48 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     changes = int(np.count_nonzero(slow[1:] & slow[:-1] & (still[1:] != still[:-1])))
     count, beyond = int(slow.sum()), int((slow & ~still).sum())
     if changes < max(20, 0.1 * count) or beyond < 0.05 * count:
-        if power_w is None:
+        parked = slow & (speed < STILL_SPEED_M_S)
+        turned = np.count_nonzero(parked & ~still) > max(20, 0.9 * parked.sum())
+        if turned and number[1] is not None and _bias(number[1][:_SAMPLE][parked], _CLEAR["speed_m_s"]):
+            slow = parked  # a steady turn of a robot that stands in no other way is its sensor's
+        elif power_w is None:
             return
-        slow = _rest_of_power(speed, turning, power_w[:_SAMPLE])
+        else:
+            slow = _rest_of_power(speed, turning, power_w[:_SAMPLE])
         count, beyond = int(slow.sum()), int((slow & ~still).sum())
         if beyond < max(20, 0.8 * count):
             return
-    name, values, limit, unit = ("speed_m_s", speed, STILL_SPEED_M_S, "m/s")
+    name, data, limit, unit = ("speed_m_s", number[0], STILL_SPEED_M_S, "m/s")
     if yaw is not None and np.count_nonzero(slow & (yaw >= STILL_YAW_RATE_RAD_S)) > beyond / 2:
-        name, values, limit, unit = ("yaw_rate_rad_s", yaw, STILL_YAW_RATE_RAD_S, "rad/s")
-    high = float(np.quantile(values[slow], 0.99))
-    told = f"noise at rest: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g})"
-    digit = 10.0 ** np.floor(np.log10(high))
-    round_up = np.ceil(high / digit) * digit  # to one digit
-    action = f"left as it is; a map can set it to zero there: where(abs({name}) < {round_up:g}, 0, {name})"
+        name, data, limit, unit = ("yaw_rate_rad_s", number[1], STILL_YAW_RATE_RAD_S, "rad/s")
+    rest = np.asarray(data)[:_SAMPLE][slow]
+    bias = float(f"{_bias(rest, _CLEAR[name]):.2g}")
+    high, left = float(np.quantile(np.abs(rest), 0.99)), np.abs(rest - bias)
+    formula, furthest = name, float(np.quantile(left, 0.99))
+    told, action = "noise at rest", "a map can set it to zero there"
+    if bias:
+        formula = f"{name} {'-' if bias > 0.0 else '+'} {abs(bias):g}"
+        told, action = f"a bias of {bias:g} {unit} at rest", "a map takes it away"
+    if not bias or np.count_nonzero(left >= limit) >= 0.05 * count:
+        digit = 10.0 ** np.floor(np.log10(furthest))
+        round_up = np.ceil(furthest / digit) * digit  # to one digit
+        formula = f"where(abs({formula}) < {round_up:g}, 0, {formula})"
+    told = f"{told}: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g})"
+    action = f"left as it is; {action}: {formula}"
     rows.remark("standstill", name, f"{told} and count as driving", action, "warning", slow & ~still)
+
+
+_CLEAR = {"speed_m_s": 3.0, "yaw_rate_rad_s": 1.5}
+"""Bias of a column in times its scatter at rest from which on it is one: the noise of a speed, or of the yaw rate of a
+log that has no signs, lies up to 2.3, or 1.2, times its scatter above zero (Maxwell's and the folded normal law)."""
+
+
+def _bias(values: Array, clear: float) -> float:
+    """What values at rest, shape (n,), lie beside zero by, steadily; zero where that is not clear of their scatter."""
+    middle, half = float(np.median(values)), len(values) // 2
+    scatter = 1.4826 * float(np.median(np.abs(values - middle)))
+    drift = abs(float(np.median(values[:half])) - float(np.median(values[half:])))
+    return middle if abs(middle) > max(clear * scatter, 2.0 * drift) else 0.0
 
 
 _SLOW, _LEVEL = 0.25, 0.1

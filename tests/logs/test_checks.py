@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from missionsim.interface import import_log
 from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log, read_logs
 from missionsim.logs.obstacles import clock_delay
 from missionsim.logs.raw import power_from_energy
@@ -254,6 +255,56 @@ def test_noise_at_rest_that_counts_as_driving_is_told(tmp_path: Path, column: st
     assert "count as driving" in remark.message
     assert f"where(abs({column}) < " in remark.action
     assert 100 < remark.count < 600
+
+
+@pytest.mark.parametrize(
+    ("bias", "noise", "told", "formula"),
+    [
+        (0.035, 0.015, "0.034", "where(abs(yaw_rate_rad_s - 0.034) < 0.04, 0, yaw_rate_rad_s - 0.034)"),
+        (-0.04, 0.02, "-0.041", "where(abs(yaw_rate_rad_s + 0.041) < 0.06, 0, yaw_rate_rad_s + 0.041)"),
+        (0.025, 0.006, "0.025", "yaw_rate_rad_s - 0.025"),
+        (0.05, 0.001, "0.05", "yaw_rate_rad_s - 0.05"),  # no row at rest is below the limit
+    ],
+)
+def test_a_bias_at_rest_is_told_as_one_and_the_map_takes_it_away(
+    tmp_path: Path, bias: float, noise: float, told: str, formula: str
+) -> None:
+    """It was called noise, to be set to zero at rest, which leaves it in all motion and in every turn."""
+    columns = motion(2000, 0.1)
+    rest = (columns["time_s"] > 60) & (columns["time_s"] < 120)
+    for name in ("speed_m_s", "yaw_rate_rad_s"):
+        columns[name] = np.where(rest, 0.0, columns[name])
+    columns["speed_m_s"] = np.where(rest, 0.0, columns["speed_m_s"] + 0.06)
+    columns["yaw_rate_rad_s"] += bias + np.random.default_rng(1).normal(0.0, noise, 2000)
+    remark = found(read(tmp_path, columns), "standstill")
+    assert remark.column == "yaw_rate_rad_s"
+    assert f"a bias of {told} rad/s at rest" in remark.message
+    assert "count as driving" in remark.message
+    assert remark.action.endswith(f": {formula}")
+    lines = ["kind: map", "name: level", "others: true", "columns:"]
+    lines += [f"  {name}: {name}" for name in ("time_s", "power_robot_w", "speed_m_s")]
+    (tmp_path / "level.yaml").write_text("\n".join([*lines, f"  yaw_rate_rad_s: {formula}", ""]))
+    (level,) = import_log([tmp_path / "run.csv"], tmp_path / "level.yaml")
+    assert not [r for r in level.remarks if r.kind == "standstill"]
+    assert float(np.mean(np.asarray(level.columns["yaw_rate_rad_s"])[rest])) == pytest.approx(0.0, abs=0.002)
+
+
+def test_noise_without_its_sign_and_turns_on_the_spot_are_no_bias(tmp_path: Path) -> None:
+    columns = motion(2000, 0.1)
+    rest = (columns["time_s"] > 60) & (columns["time_s"] < 120)
+    noise = np.random.default_rng(1).normal(0.0, 0.03, (3, 2000))
+    columns["speed_m_s"] = np.where(rest, 0.0, columns["speed_m_s"] + 0.06)
+    for yaw in (np.abs(noise[0]), np.where(columns["time_s"] < 90, 0.03, -0.03) + 0.3 * noise[0]):
+        columns["yaw_rate_rad_s"] = np.where(rest, yaw, columns["yaw_rate_rad_s"])
+        told = [r for r in read(tmp_path, columns).remarks if r.kind == "standstill"]
+        assert not [r for r in told if "bias" in r.message]
+    columns["yaw_rate_rad_s"] = np.where(rest, 0.0, columns["yaw_rate_rad_s"])
+    columns["speed_m_s"] = np.where(rest, np.linalg.norm(0.1 * noise, axis=0), columns["speed_m_s"])
+    assert "noise at rest" in found(read(tmp_path, columns), "standstill").message
+    # half of the time without speed it turns slowly, and stands in the other half
+    columns["speed_m_s"] = np.where(rest, 0.0, columns["speed_m_s"])
+    columns["yaw_rate_rad_s"] = np.where(rest & (columns["time_s"] < 90), 0.05, columns["yaw_rate_rad_s"])
+    assert not [r for r in read(tmp_path, columns).remarks if r.kind == "standstill"]
 
 
 @pytest.mark.parametrize("crawls", [False, True])
