@@ -206,34 +206,36 @@ def check_order(rows: Rows) -> None:
 
 
 def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
-    """Tell a speed or yaw rate whose noise or bias at rest is above the limits of standing still. `power_w`: what the battery
-    of the motors delivers, which says what is rest where no speed does."""
+    """Tell a speed or yaw rate whose noise or bias at rest is above the limits of standing still. `power_w`: what the
+    battery of the motors delivers, which says what is rest where no speed does."""
     number = [rows.number(name) for name in ("speed_m_s", "yaw_rate_rad_s")]
-    speed, yaw = (None if data is None else np.abs(data[:_SAMPLE]) for data in number)
-    if speed is None:
+    if number[0] is None:
         return
-    turning = np.zeros_like(speed) if yaw is None else yaw
+    forward, turned = (np.zeros(len(rows.time)) if data is None else data for data in number)
+    forward, turned, known = forward[:_SAMPLE], turned[:_SAMPLE], True
+    speed, turning, signed = np.abs(forward), np.abs(turned), np.min(turned) < 0.0 < np.max(turned)
     slow = hardly_moves(speed, turning)
     still = (speed < STILL_SPEED_M_S) & (turning < STILL_YAW_RATE_RAD_S)
     changes = int(np.count_nonzero(slow[1:] & slow[:-1] & (still[1:] != still[:-1])))
     count, beyond = int(slow.sum()), int((slow & ~still).sum())
     if changes < max(20, 0.1 * count) or beyond < 0.05 * count:
-        parked = slow & (speed < STILL_SPEED_M_S)
-        turned = np.count_nonzero(parked & ~still) > max(20, 0.9 * parked.sum())
-        if turned and number[1] is not None and _bias(number[1][:_SAMPLE][parked], _CLEAR["speed_m_s"]):
-            slow = parked  # a steady turn of a robot that stands in no other way is its sensor's
+        parked = speed < STILL_SPEED_M_S
+        often = signed and np.count_nonzero(parked & slow & ~still) > max(20, 0.9 * parked.sum())
+        if often and _bias(turned[parked], _CLEAR_UNSIGNED):
+            slow &= parked  # a steady turn of a robot that stands in no other way is its sensor's
         elif power_w is None:
             return
         else:
-            slow = _rest_of_power(speed, turning, power_w[:_SAMPLE])
+            known, slow = False, _rest_of_power(speed, turning, power_w[:_SAMPLE])
         count, beyond = int(slow.sum()), int((slow & ~still).sum())
         if beyond < max(20, 0.8 * count):
             return
-    name, data, limit, unit = ("speed_m_s", number[0], STILL_SPEED_M_S, "m/s")
-    if yaw is not None and np.count_nonzero(slow & (yaw >= STILL_YAW_RATE_RAD_S)) > beyond / 2:
-        name, data, limit, unit = ("yaw_rate_rad_s", number[1], STILL_YAW_RATE_RAD_S, "rad/s")
-    rest = np.asarray(data)[:_SAMPLE][slow]
-    bias = float(f"{_bias(rest, _CLEAR[name]):.2g}")
+    name, data, limit, unit = ("speed_m_s", forward, STILL_SPEED_M_S, "m/s")
+    if np.count_nonzero(slow & (turning >= STILL_YAW_RATE_RAD_S)) > beyond / 2:
+        name, data, limit, unit = ("yaw_rate_rad_s", turned, STILL_YAW_RATE_RAD_S, "rad/s")
+    rest = data[slow]
+    clear = _CLEAR if signed and data is turned else _CLEAR_UNSIGNED
+    bias = float(f"{_bias(rest, clear):.2g}") if known else 0.0
     high, left = float(np.quantile(np.abs(rest), 0.99)), np.abs(rest - bias)
     formula, furthest = name, float(np.quantile(left, 0.99))
     told, action = "noise at rest", "a map can set it to zero there"
@@ -249,9 +251,9 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     rows.remark("standstill", name, f"{told} and count as driving", action, "warning", slow & ~still)
 
 
-_CLEAR = {"speed_m_s": 3.0, "yaw_rate_rad_s": 1.5}
-"""Bias of a column in times its scatter at rest from which on it is one: the noise of a speed, or of the yaw rate of a
-log that has no signs, lies up to 2.3, or 1.2, times its scatter above zero (Maxwell's and the folded normal law)."""
+_CLEAR, _CLEAR_UNSIGNED = 1.5, 3.0
+"""Times its scatter at rest that a bias lies beside zero (assumed): the noise of a speed, and of a yaw rate without
+signs, lies up to 2.3 times its scatter above zero (Maxwell's law)."""
 
 
 def _bias(values: Array, clear: float) -> float:

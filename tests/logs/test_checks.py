@@ -275,6 +275,7 @@ def test_a_bias_at_rest_is_told_as_one_and_the_map_takes_it_away(
     for name in ("speed_m_s", "yaw_rate_rad_s"):
         columns[name] = np.where(rest, 0.0, columns[name])
     columns["speed_m_s"] = np.where(rest, 0.0, columns["speed_m_s"] + 0.06)
+    columns["yaw_rate_rad_s"] *= np.where(columns["time_s"] > 150, -1.0, 1.0)
     columns["yaw_rate_rad_s"] += bias + np.random.default_rng(1).normal(0.0, noise, 2000)
     remark = found(read(tmp_path, columns), "standstill")
     assert remark.column == "yaw_rate_rad_s"
@@ -294,16 +295,20 @@ def test_noise_without_its_sign_and_turns_on_the_spot_are_no_bias(tmp_path: Path
     rest = (columns["time_s"] > 60) & (columns["time_s"] < 120)
     noise = np.random.default_rng(1).normal(0.0, 0.03, (3, 2000))
     columns["speed_m_s"] = np.where(rest, 0.0, columns["speed_m_s"] + 0.06)
-    for yaw in (np.abs(noise[0]), np.where(columns["time_s"] < 90, 0.03, -0.03) + 0.3 * noise[0]):
-        columns["yaw_rate_rad_s"] = np.where(rest, yaw, columns["yaw_rate_rad_s"])
-        told = [r for r in read(tmp_path, columns).remarks if r.kind == "standstill"]
-        assert not [r for r in told if "bias" in r.message]
+    turns = np.where(columns["time_s"] < 90, 0.03, -0.03) + 0.3 * noise[0]
+    moves = columns["yaw_rate_rad_s"]
+    for yaw, others in ((np.abs(noise[0]), np.abs(moves)), (np.hypot(*noise[:2]), np.abs(moves)), (turns, moves)):
+        columns["yaw_rate_rad_s"] = np.where(rest, yaw, others)
+        assert "noise at rest" in found(read(tmp_path, columns), "standstill").message
     columns["yaw_rate_rad_s"] = np.where(rest, 0.0, columns["yaw_rate_rad_s"])
     columns["speed_m_s"] = np.where(rest, np.linalg.norm(0.1 * noise, axis=0), columns["speed_m_s"])
     assert "noise at rest" in found(read(tmp_path, columns), "standstill").message
     # half of the time without speed it turns slowly, and stands in the other half
     columns["speed_m_s"] = np.where(rest, 0.0, columns["speed_m_s"])
     columns["yaw_rate_rad_s"] = np.where(rest & (columns["time_s"] < 90), 0.05, columns["yaw_rate_rad_s"])
+    assert not [r for r in read(tmp_path, columns).remarks if r.kind == "standstill"]
+    # it never stands, and turns faster than any bias now and then
+    columns["yaw_rate_rad_s"] = np.where(rest, 0.08 + noise[0], columns["yaw_rate_rad_s"])
     assert not [r for r in read(tmp_path, columns).remarks if r.kind == "standstill"]
 
 
