@@ -142,8 +142,8 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
     if not given:
         shifted = drifts_instead(model)
         if near:
-            shifted |= parameters_instead(model)
             doubtful = [k for k in model.chosen if demoted(model, choice.evidence[k], forms, rest, loose)]
+            shifted |= parameters_instead(model, {*shifted, *(constraints.of_column(k).effect for k in doubtful)})
         else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
             doubtful = [k for k in forms if not constraints.of_column(k).levels]
         structures = (*shifted.values(), *structures)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -89,10 +89,11 @@ def _at_rest_too(model: Model, error_w: Array, part: float) -> bool:
     return rest_s.sum() < REST_S or drawn <= 0.0 or float(error_w @ rest_s) / drawn / part > HALF
 
 
-def parameters_instead(model: Model) -> dict[str, Structure]:
+def parameters_instead(model: Model, doubtful: Collection[str] = ()) -> dict[str, Structure]:
     """Effects in the model in whose place one base parameter, left free, explains as much; each with what is said.
 
-    Only parameters that no effect is the twin of: a twin is named, or among the rivals.
+    Only parameters that no effect is the twin of: a twin is named, or among the rivals. How far off it is is told only
+    where no effect beside it is `doubtful`, or told here itself: what these take would be its own without them.
     """
     gram, layout, constraints = model.gram, model.design.layout, model.constraints
     settings, twins = constraints.settings, set()
@@ -107,7 +108,7 @@ def parameters_instead(model: Model) -> dict[str, Structure]:
         freedom = gram.prior_precision.copy()
         freedom[i] = LEAST_FREE_SD**-2.0
         freed[i] = Gram(gram.per_run, freedom)
-    told: dict[str, Structure] = {}
+    found: dict[str, tuple[str, float, list[str]]] = {}
     for number in constraints.numbers(model.chosen):
         if constraints.candidates[number].prior is not None:
             continue
@@ -119,14 +120,21 @@ def parameters_instead(model: Model) -> dict[str, Structure]:
             rise = 0.5 * (left - float(free.conditional(rest)[0, 0]))
             shift = float(free.joint(rest, len(layout.parameters))[0][i])
             if rise > needed and abs(shift) > settings.recalibration_limit * layout.prior_sd[i]:
-                effect = constraints.candidates[number].effect
-                words = (
-                    f"either {effect}, or {layout.parameters[i]} of the robot file is {100 * abs(shift):.0f} % too "
-                    f"{'small' if shift > 0.0 else 'large'}: these data cannot tell; calibrate the file first"
-                )
-                share = gram.coefficients(model.chosen)[0][[k in own for k in model.chosen]].sum()
-                told[effect] = Structure("", 0.0, 0.0, abs(float(share)), words)
+                beside = [constraints.of_column(k).effect for k in rest]
+                found[constraints.candidates[number].effect] = layout.parameters[i], shift, beside
                 break
+    told: dict[str, Structure] = {}
+    for effect, (name, shift, beside) in found.items():
+        size, off = f"{100 * abs(shift):.0f} % ", f"too {'small' if shift > 0.0 else 'large'}"
+        why = "fitted without the sd that binds it in the recalibration"
+        if unsure := dict.fromkeys(other for other in beside if other in found or other in doubtful):
+            size, why = "", f"by how much hangs on {' and '.join(unsure)}, in doubt as well"
+        words = (
+            f"either {effect}, or {name} of the robot file is {size}{off} ({why}): these data cannot tell; calibrate "
+            "the file first"
+        )
+        own = [constraints.of_column(k).effect == effect for k in model.chosen]
+        told[effect] = Structure("", 0.0, 0.0, abs(float(gram.coefficients(model.chosen)[0][own].sum())), words)
     return told
 
 
