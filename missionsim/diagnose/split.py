@@ -19,6 +19,7 @@ from missionsim.expressions import compile_expression
 from missionsim.fit.files import read_bounded, read_runs
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
 from missionsim.labels import Labels
+from missionsim.logs.read import meters_alike
 from missionsim.numerals import counted
 from missionsim.physics import Array
 from missionsim.runs.admit import admit_to_test, unchanging
@@ -157,6 +158,8 @@ def _files(logs: tuple[Run, ...], parts: list[str], robot: RobotSpec | None) -> 
     train = tuple(log for log in logs if not (log.sha256 and log.sha256 in same))
     if not train:
         raise InputError.single("every run is held out; nothing is left to fit", got=", ".join(parts))
+    alike = meters_alike([*train, *held])
+    train, held = tuple(alike[: len(train)]), alike[len(train) :]
     kept, left_out = admit_to_test(held, train)
     how = f"{counted(len(kept), 'run')} from {', '.join(Path(p).name for p in parts)}"
     return Split(train, tuple(kept), how, left_out=(*left_out, *(f"held-out {told}" for told in refused)))

@@ -93,7 +93,7 @@ def read_logs(
         for file, (first, *more) in grouped(faults, lambda fault: fault.file).items():
             told = f" (line {first.line})" * bool(first.line) + f", and {len(more)} faults more" * bool(more)
             left_out.append(f"{Path(file).stem}: {first.message}{told}")
-    logs = _of_one_meter(logs)
+    logs = meters_alike(logs)
     names = [log.run for log in logs]
     return [
         replace(log, run=f"{Path(log.source).resolve().parent.name}/{log.run}") if names.count(log.run) > 1 else log
@@ -101,8 +101,8 @@ def read_logs(
     ]
 
 
-def _of_one_meter(logs: Sequence[Run]) -> list[Run]:
-    """Runs in which a meter is refreshed as it is in the others."""
+def meters_alike(logs: Sequence[Run]) -> list[Run]:
+    """The same runs, a meter refreshed in each as it is in the others (see `missionsim.logs.refresh.of_one_meter`)."""
     found = list(logs)
     for battery in dict.fromkeys(battery for log in logs for battery in log.power_w):
         for kind, source in _SOURCES.items():

@@ -639,29 +639,7 @@ def test_a_coarse_meter_that_is_read_once_a_second_is_seen_in_every_run(seconds:
     assert refreshes(duty, time) is None
 
 
-def test_a_coarse_current_times_a_voltage_that_drifts_was_refreshed_each_time() -> None:
-    """Whose least difference is that of the voltage, not what the meter can tell."""
-    rng = np.random.default_rng(6)
-    speed = np.repeat(rng.choice([0.0, 0.2, 0.5], 80), 10)
-    amps = np.round(10.0 * (1.0 + 2.0 * speed + rng.normal(0.0, 0.04, 800))) / 10.0
-    volts = np.repeat(np.round(25.2 - 0.0004 * np.arange(80), 2), 10)  # moves by a step every 200 s
-    held = refreshes(np.repeat(amps * volts, 5), 0.05 * np.arange(4000))
-    assert held is not None
-    assert held.period_s == pytest.approx(0.25)
-    assert {*range(0, 4000, 5)} - {*np.flatnonzero(held.fresh).tolist()} == set()
-
-
-def test_a_reading_in_two_pieces_is_one_of_a_product_whose_other_factor_changed_in_between() -> None:
-    rng = np.random.default_rng(8)
-    power = np.repeat(2.5 * np.round(20.0 + 4.0 * rng.normal(size=800)), 5)
-    for at in np.flatnonzero(rng.random(800) < 0.15):
-        power[5 * at + 2 : 5 * at + 5] += 0.1
-    held = refreshes(power, 0.05 * np.arange(4000))
-    assert held is not None
-    assert held.period_s == pytest.approx(0.25)
-
-
-@pytest.mark.parametrize(("seconds", "held"), [((60.0, 60.0, 40.0), True), ((60.0, 60.0, 200.0), False)])
+@pytest.mark.parametrize(("seconds", "held"), [((240.0, 240.0, 40.0), True), ((60.0, 60.0, 40.0), False)])
 def test_a_meter_is_refreshed_alike_in_all_runs(tmp_path: Path, seconds: tuple[float, ...], held: bool) -> None:
     """In one it showed a few values alone: half a refresh later than in the others, which their clocks took."""
     rng = np.random.default_rng(7)
