@@ -286,6 +286,9 @@ def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) ->
     options = f"--battery {battery.battery}" * (several and "--battery" not in asked.options), asked.options
     if worse(battery):
         return ""
+    bars = bars_of(battery.heldout, battery.proposed_laws) if battery.heldout is not None and (told or law) else ()
+    if bars and bars[-1].power_rmse_w > bars[1].power_rmse_w:  # the base alone, fitted anew, does better
+        return asked.refit(battery.battery, several)
     if told and len(told) + (law is not None and not law.open) > 1:  # one alone leaves the others' power to the base
         return asked.typed("improve", *options)
     if told:

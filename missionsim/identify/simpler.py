@@ -25,7 +25,6 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     UNCLEAR,
 )
-from missionsim.physics import Array
 
 HALF = 0.5
 """Part of what meter and model differ by that they differ by at rest too, where it is a matter of the meter."""
@@ -78,15 +77,15 @@ def instead_of_effects(model: Model) -> float | None:
         return None
     factor, part = common_factor(model)
     none = abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH
-    return None if none or not _at_rest_too(model, model.design.base - model.design.y, 1.0 - factor) else factor
+    return None if none or not _at_rest_too(model, factor) else factor
 
 
-def _at_rest_too(model: Model, error_w: Array, part: float) -> bool:
-    """Whether an error, shape (n,) [W], that makes a part of all that is drawn does so where the robot stands as well;
-    yes where nothing tells when it does."""
+def _at_rest_too(model: Model, factor: float) -> bool:
+    """Whether the meter reads so many times what the file gives where the robot stands as well; yes where nothing tells
+    when it does. Of the file as it is: a base fitted anew would spread over rest what motion lacks."""
     rest_s = seconds_at_rest(model)
-    drawn = float(model.design.base @ rest_s)
-    return rest_s.sum() < REST_S or drawn <= 0.0 or float(error_w @ rest_s) / drawn / part > HALF
+    drawn_ws, shown_ws = float(model.design.base @ rest_s), float(model.design.y @ rest_s)
+    return rest_s.sum() < REST_S or drawn_ws <= 0.0 or (shown_ws / drawn_ws - 1.0) / (factor - 1.0) > HALF
 
 
 def parameters_instead(model: Model, doubtful: Collection[str] = ()) -> dict[str, Structure]:
@@ -207,7 +206,7 @@ def level_difference(model: Model) -> Structure | None:
         return None
     factor = 1.0 / (1.0 + float(np.median(errors)))
     words = f"the meter reads {factor:.3g} times what the model gives in every run"
-    if _at_rest_too(model, error, 1.0 - factor):
+    if _at_rest_too(model, factor):
         words += ", whatever the robot does: check the units of the log and the robot file, or look for a load that is "
         words += "always on"
     else:

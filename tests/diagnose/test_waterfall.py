@@ -195,6 +195,8 @@ def test_an_error_that_only_recalibration_lowers_is_said_so() -> None:
     told = sentences.errors(replace(BATTERY, heldout=held))
     assert "ONLY 16.9" not in told
     assert "was 16.9 W, is 7.47 W with the base alone fitted anew, and NO LESS, 7.52 W, with it" in told
+    command = sentences.next_step(replace(BATTERY, heldout=held), sentences.Asked("my.yaml", ["train"]))
+    assert command.startswith("missionsim calibrate")
 
 
 def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> None:
