@@ -27,8 +27,8 @@ _DROWNING = 1e100
 _REORDER_S = 2.0
 """Rows out of order by less than this are sorted; more means that the clock was set or that runs were joined."""
 _CLASHING = 0.1
-"""More rows than this part with another's time and other values are no jitter of a clock, but times too coarse for the
-rows or two recordings in one file (assumed)."""
+"""More rows than this part without a time, out of order, or with another's time and other values are no jitter of a
+clock, but times too coarse for the rows or two recordings in one file (assumed)."""
 
 
 @dataclass
@@ -83,7 +83,7 @@ def order_time(rows: Rows) -> None:
     finite = np.isfinite(rows.time)
     if not finite.all():
         told = f"{counted(int((~finite).sum()), 'row')} without a time"
-        rows.remark("missing", "time_s", told, "they were left out", "error", ~finite)
+        rows.remark("missing", "time_s", told, "they were left out", _severity(float(np.mean(~finite))), ~finite)
         rows.take(finite)
     if len(rows.time) < 2:
         told = f"the log has {counted(len(rows.time), 'row')} with a time"
@@ -102,7 +102,7 @@ def order_time(rows: Rows) -> None:
             raise InputError(Fault(file, rows.raw.line(int(rows.row[worst])), 0, told, "time_s", got, even, hint))
         told = f"time runs backwards in {counted(count, 'place')}, by up to {jump:.3g} s"
         at, action = int(np.argmax(back)) + 1, "the rows were sorted by time"
-        rows.remark("time_backwards", "time_s", told, action, "error", at, count)
+        rows.remark("time_backwards", "time_s", told, action, _severity(count / len(step)), at, count)
         rows.take(np.argsort(rows.time, kind="stable"))
     if (np.diff(rows.time) == 0).any():
         _merge_duplicates(rows)
@@ -118,6 +118,11 @@ def order_time(rows: Rows) -> None:
         told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
         action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
         rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
+
+
+def _severity(share: float) -> str:
+    """How grave it is that a share of the rows has a wrong time: a few rows cost no run."""
+    return "error" if share > _CLASHING else "warning"
 
 
 def _merge_duplicates(rows: Rows) -> None:
@@ -148,7 +153,7 @@ def _merge_duplicates(rows: Rows) -> None:
         rows.remark("duplicate", "time_s", told, kept, "warning", repeats)
     if differs.any():
         told = f"{counted(int(differs.sum()), 'row')} with the time of the row before and other values"
-        severity = "error" if differs.mean() > _CLASHING else "warning"
+        severity = _severity(float(differs.mean()))
         rows.remark("duplicate", "time_s", told, f"{kept}, with the mean of the values", severity, differs)
     rows.columns, rows.row = merged, rows.row[starts]
 

@@ -60,20 +60,24 @@ def test_few_or_uneven_rows_are_not_taken_for_milliseconds(tmp_path: Path) -> No
     assert not [r for r in read(tmp_path, uneven).remarks if (r.kind, r.column) == ("unit", "time_s")]
 
 
-def test_time_backwards_is_sorted_and_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("swapped", "severity"), [(1, "warning"), (30, "warning"), (60, "error")])
+def test_time_backwards_is_sorted_and_told(tmp_path: Path, swapped: int, severity: str) -> None:
+    """A pair of rows that came late cost the whole run."""
     columns = motion()
     order = np.arange(400)
-    order[[100, 101]] = [101, 100]
+    for at in 100 + 2 * np.arange(swapped):
+        order[[at, at + 1]] = [at + 1, at]
     log = read(tmp_path, {name: data[order] for name, data in columns.items()})
     remark = found(log, "time_backwards")
     assert (remark.line, remark.count, remark.severity, remark.action) == (
         103,
-        1,
-        "error",
+        swapped,
+        severity,
         "the rows were sorted by time",
     )
     np.testing.assert_allclose(log.power_w["robot"], columns["power_robot_w"], rtol=1e-8)
-    assert [fault.line for fault in check_log(tmp_path / "run.csv") if fault.severity == "error"] == [103]
+    refused = [fault.line for fault in check_log(tmp_path / "run.csv") if fault.severity == "error"]
+    assert refused == [103] * (severity == "error")
 
 
 def test_two_runs_in_one_file_are_refused(tmp_path: Path, faults_of) -> None:
