@@ -200,6 +200,9 @@ def sure(battery: BatteryDiagnosis) -> str:
     certain, possible = (_listed([*map(plain, names)]) for names in (one.certain, one.possible))
     told = f"It depends on {certain}" if certain else "On what it depends is open"
     told += f", perhaps on {possible}" if possible else ""
+    if one.goes_with:
+        beside = _listed([*map(plain, one.goes_with)])
+        told += f", or as well on {beside}, which hardly changes where it acts: drive one without the other"
     form = "its form is an approximation within the band"
     if len(one.laws) > 1:
         behind = max(law.behind_nats for law in one.laws)

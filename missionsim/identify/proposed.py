@@ -136,6 +136,8 @@ class Proposal:
     """What to drive to tell the forms apart."""
     instead_of: tuple[str, ...] = ()
     """Effects of the library that stood in for it."""
+    goes_with: tuple[str, ...] = ()
+    """Quantities that it may follow as well, since they hardly change where it acts."""
     effect: str = ""
     """That of the library which it is, seen and not named: no other form does better."""
     heldout_rmse_w: tuple[float, float] | None = None
@@ -191,4 +193,5 @@ class Proposal:
             "heldout_energy_error_pct": pair(self.heldout_energy_pct),
             "experiment": self.experiment,
             "instead_of": list(self.instead_of),
+            "goes_with": list(self.goes_with),
         }

@@ -51,6 +51,8 @@ LEADS = 0.9
 TWIN = 0.985
 SAME = 0.9999
 """Correlation with the column of an effect from which on a law has no other form than that effect."""
+CHANGES = 0.9
+"""Likeness to a constant below which a quantity changes in the logs."""
 OWN_METER = 0.99
 """Correlation with the measured power from which on a column is that power, or the current of it."""
 
@@ -207,6 +209,7 @@ def _propose(
         experiment=experiment(laws, curve, possible, found.noise, most),
         instead_of=instead,
         effect=_twin(fitted, ground, found, SAME),
+        goes_with=_goes_with(fitted, search),
     )
     return made, fitted, ground
 
@@ -305,6 +308,25 @@ def _twin(fitted: Fitted, ground: Ground, found: Identification, alike: float = 
         if column.candidate >= 0 and r > alike:
             return str(found.library[column.candidate].effect)
     return ""
+
+
+def _goes_with(fitted: Fitted, search: Search) -> tuple[str, ...]:
+    """Quantities that change in the logs and hardly where the law acts, so that it may follow them as well: a load that
+    was carried uphill alone."""
+    grammar, found = search.grammar, list[str]()
+    read = {*grammar.variables(fitted.form), *CLOCKS}
+    plain = [(i, f.variable) for i, f in enumerate(grammar.factors) if f.text == f.variable and f.variable not in read]
+    ones = np.ones_like(fitted.watts)
+    for i, name in plain:
+        alone, both = search.columns([(i,), (*fitted.form, i)])
+        if _likeness(alone, ones) < CHANGES and _likeness(both, fitted.watts) > TWIN:
+            found.append(name)
+    return tuple(found)
+
+
+def _likeness(a: Array, b: Array) -> float:
+    """Cosine of the angle between two columns."""
+    return abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)
 
 
 def _curve(laws: Sequence[Law], ground: Ground, relative: float) -> Curve | None:

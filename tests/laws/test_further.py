@@ -254,6 +254,24 @@ def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
 
 
 @pytest.mark.usefixtures("laws_at_once")
+@pytest.mark.parametrize("uphill_alone", [True, False])
+def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) -> None:
+    """A load that was carried uphill alone: the dearer climb was told as the slope's, without a word of the load."""
+    rng, runs = np.random.default_rng(6), []
+    for number in range(5):
+        rows = 1200
+        speed = np.repeat(rng.uniform(0.1, 1.0, rows // 40), 40)
+        slope = np.repeat(rng.choice([-0.08, 0.0, 0.06, 0.1], rows // 60), 60) + 0.001 * rng.standard_normal(rows)
+        load = 25.0 * (slope > 0.03) if uphill_alone else np.repeat(rng.choice([0.0, 25.0], rows // 60), 60)
+        gradient = {"c3": 40.0 * speed, "c4": np.full(rows, 30.0)}
+        more = 300.0 * speed * np.maximum(slope, 0.0) + 0.5 * rng.standard_normal(rows)
+        runs.append(run_of(number, gradient, more, speed_m_s=speed, slope_rad=slope, payload_kg=load))
+    made = law_of(runs, c3=0.05, c4=0.05)
+    assert made.first.formula == "k * abs(speed_m_s) * max(slope_rad, 0)"
+    assert made.goes_with == (("payload_kg",) if uphill_alone else ())
+
+
+@pytest.mark.usefixtures("laws_at_once")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_drag_goes_by_the_speed_through_the_air(sign: float) -> None:
     """A wind along the way, against the robot or with it, in a column of the user's."""

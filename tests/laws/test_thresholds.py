@@ -161,6 +161,7 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
         ("_law", LAW),
         ("_curve", None),
         ("_twin", ""),
+        ("_goes_with", ()),
     ):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
     for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
@@ -189,6 +190,7 @@ def test_what_a_drift_may_stand_behind_is_no_law(
         ("_law", LAW),
         ("_curve", None),
         ("_twin", ""),
+        ("_goes_with", ()),
     ):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
     near = Scored(form, 90.0, 0.2, 90.0)
