@@ -121,7 +121,7 @@ def _law_subject(formula: str, variables: Sequence[str]) -> str:
         word = "descending" if "max(-slope" in formula else up
         (beside if parts else parts).append(f"while {word}" if parts else word)
     for name in variables:
-        if name not in ("yaw_rate_rad_s", "accel_m_s2", "slope_rad", "speed_m_s"):
+        if name not in ("yaw_rate_rad_s", "accel_m_s2", "slope_rad", "speed_m_s", "heading_rad"):
             (beside if parts else parts).append(_aspect(name, formula, bool(parts)))
     if "speed_m_s" in variables and not slow:
         word = "standing still" if standing else "driving"
@@ -129,6 +129,8 @@ def _law_subject(formula: str, variables: Sequence[str]) -> str:
             parts.append(word)
         elif ramp not in parts:
             beside.insert(0, f"while {word}")
+    if most := re.search(r"cos\(heading_rad - ([\d.]+)\)", formula):
+        beside.append(f"at headings about {math.degrees(float(most.group(1))):.0f}°")
     text = " ".join([*(parts or ["something"]), *beside])
     return text[:1].upper() + text[1:]
 

@@ -363,9 +363,10 @@ def test_nothing_is_called_surer_than_it_is(p_value: float, told: str) -> None:
         ("k * (scheme == 'baseline')", "scheme", "Being in control scheme baseline"),
         ("k * (surface == 'grass')", "surface", "Being on grass"),
         ("k * abs(speed_m_s) * (surface == 'grass')", "surface", "Being on grass while driving"),
+        ("k * abs(speed_m_s) * cos(heading_rad - 0.79)", "heading_rad", "Driving at headings about 45°"),
     ],
 )
-def test_a_law_of_one_level_is_a_sentence(formula: str, name: str, told: str) -> None:
+def test_a_law_of_one_level_or_direction_is_a_sentence(formula: str, name: str, told: str) -> None:
     variables = [*(["speed_m_s"] if "speed" in formula else []), name]
     assert sentences._law_subject(formula, variables) == told
 
