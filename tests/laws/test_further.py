@@ -258,8 +258,8 @@ def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
 def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) -> None:
     """A load that was carried uphill alone: the dearer climb was told as the slope's, without a word of the load."""
     rng, runs = np.random.default_rng(6), []
-    for number in range(5):
-        rows = 1200
+    for number in range(4):
+        rows = 600
         speed = np.repeat(rng.uniform(0.1, 1.0, rows // 40), 40)
         slope = np.repeat(rng.choice([-0.08, 0.0, 0.06, 0.1], rows // 60), 60) + 0.001 * rng.standard_normal(rows)
         load = 25.0 * (slope > 0.03) if uphill_alone else np.repeat(rng.choice([0.0, 25.0], rows // 60), 60)
@@ -272,7 +272,7 @@ def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) 
 
 
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
 def test_drag_goes_by_the_speed_through_the_air(sign: float) -> None:
     """A wind along the way, against the robot or with it, in a column of the user's."""
     rng, runs = np.random.default_rng(3), []
