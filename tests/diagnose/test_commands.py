@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shlex
 from dataclasses import replace
@@ -212,6 +213,31 @@ def test_improve_goes_to_the_noise_floor(folders: dict[str, Path], tmp_path: Pat
     assert steps["+ turning_scrub"] < 1.5 * steps["noise floor"]
     assert battery["stopped"] == "nothing is left above the detection limits."
     assert "noise floor" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("answer", "added"), [("y", ["turning_scrub"]), ("n", [])])
+def test_improve_asks_before_it_adds(
+    folders: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    answer: str,
+    added: list[str],
+) -> None:
+    asked = io.StringIO(f"perhaps\n{answer}\n")
+    monkeypatch.setattr(asked, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stdin", asked)
+    robot, out = tmp_path / "a.yaml", tmp_path / "a.json"
+    given = f"{folders['train']} --holdout {folders['held']} --out {robot} --json {out} --quiet"
+    assert run(f"improve --robot pioneer3dx {given}") == 0
+    battery = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
+    assert battery["added"] == added
+    assert battery["declined"] == ([] if added else ["turning_scrub"])
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "turning_scrub" in said
+    assert "power error on held-out runs: with all that was found" in said
+    assert "add turning_scrub to battery robot? [y/n] (y)" in said
+    assert "Please enter Y or N" in said
 
 
 def test_improve_adds_nothing_where_nothing_is_missing(folders: dict[str, Path], tmp_path: Path) -> None:
