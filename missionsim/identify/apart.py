@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.evidence import REST_S, cause_is_constant, seconds_at_rest
+from missionsim.identify.evidence import AT_REST_TOO, REST_S, cause_is_constant, seconds_at_rest
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import random_effects
 from missionsim.identify.model import Model, log_likelihood
@@ -16,8 +16,6 @@ from missionsim.numerals import watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import MOTION, may_be_cause
 
-HALF = 0.5
-"""Part of what runs differ by that they differ by at rest too, from which on a meter may be it."""
 ALONG, ALONG_LEVEL = 0.9, 0.01
 """Correlation over the runs from which on what they differ by goes with a column, and the most that chance may have."""
 STAYS, BY_CHANCE = 0.1, 0.1
@@ -54,7 +52,7 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
         )
         more = log_likelihood(model) - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS
         rest = _at_rest(model, drawn.sum(axis=1)) if more else 0.0
-        if more and (rest is None or rest > HALF):
+        if more and (rest is None or rest > AT_REST_TOO):
             too, also = ", at rest too", ""
             if rest is None:
                 too, causes = "", " or ".join(_constant_causes(model))

@@ -22,6 +22,8 @@ NODE, WEIGHT = np.polynomial.legendre.leggauss(48)
 
 REST_S = 10.0
 """Time at rest that tells what a robot draws there."""
+AT_REST_TOO = 0.5
+"""Part of what is off in all that it draws, from which on what is off at rest may be the same: a meter."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.identify.design import Design, Source
-from missionsim.identify.evidence import REST_S, cause_is_constant, seconds_at_rest
+from missionsim.identify.evidence import AT_REST_TOO, REST_S, cause_is_constant, seconds_at_rest
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
@@ -25,9 +25,6 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     UNCLEAR,
 )
-
-HALF = 0.5
-"""Part of what meter and model differ by that they differ by at rest too, where it is a matter of the meter."""
 
 
 def may_differ(source: Source) -> bool:
@@ -85,7 +82,7 @@ def _at_rest_too(model: Model, factor: float) -> bool:
     when it does. Of the file as it is: a base fitted anew would spread over rest what motion lacks."""
     rest_s = seconds_at_rest(model)
     drawn_ws, shown_ws = float(model.design.base @ rest_s), float(model.design.y @ rest_s)
-    return rest_s.sum() < REST_S or drawn_ws <= 0.0 or (shown_ws / drawn_ws - 1.0) / (factor - 1.0) > HALF
+    return rest_s.sum() < REST_S or drawn_ws <= 0.0 or (shown_ws / drawn_ws - 1.0) / (factor - 1.0) > AT_REST_TOO
 
 
 def parameters_instead(model: Model, doubtful: Collection[str] = ()) -> dict[str, Structure]:

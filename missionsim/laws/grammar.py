@@ -193,12 +193,9 @@ class Grammar:
 
     def variables(self, form: Sequence[int]) -> tuple[str, ...]:
         """Quantities that a law is about; a memory of a quantity counts as the quantity."""
-        read = (compile_expression(f.text).names if f.alone else {f.variable.partition(" ")[0]} for f in self.of(form))
+        factors = (self.factors[i] for i in form)
+        read = (compile_expression(f.text).names if f.alone else {f.variable.partition(" ")[0]} for f in factors)
         return tuple(dict.fromkeys(name for names in read for name in sorted(names)))
-
-    def of(self, form: Sequence[int]) -> list[Factor]:
-        """The factors of a law."""
-        return [self.factors[i] for i in form]
 
     def memory(self, form: Sequence[int]) -> bool:
         """Whether it reads what was before: a first-order lag."""

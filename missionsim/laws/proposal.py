@@ -271,7 +271,6 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[tuple[str, ...], Searched
         return (), None
     before, _ = ground.model.gram.coefficients(ground.chosen)
     after, _ = fitted.model.gram.coefficients(fitted.model.chosen)
-    law = fitted.watts / max(float(np.linalg.norm(fitted.watts)), 1e-300)
     out = []
     for name, columns in ground.held:
         places = [ground.chosen.index(k) for k in columns]
@@ -279,9 +278,7 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[tuple[str, ...], Searched
         if now < max(REPLACED * was, LEAST_SHARE):
             out.append(name)
             continue
-        like = max(
-            abs(float(ground.design.phi[k] @ law)) / float(np.linalg.norm(ground.design.phi[k])) for k in columns
-        )
+        like = max(_likeness(ground.design.phi[k], fitted.watts) for k in columns)
         if like <= AKIN:
             continue
         alone = Search(ground.without((*out, name)), search.grammar, search.memory)
@@ -303,9 +300,7 @@ def _twin(fitted: Fitted, ground: Ground, found: Identification, alike: float = 
     """The effect of the library whose column is the law's own, or almost."""
     x = fitted.watts - np.mean(fitted.watts)
     for phi, column in zip(ground.design.phi, ground.design.layout.columns, strict=True):
-        y = phi - np.mean(phi)
-        r = abs(float(x @ y)) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)
-        if column.candidate >= 0 and r > alike:
+        if column.candidate >= 0 and _likeness(x, phi - np.mean(phi)) > alike:
             return str(found.library[column.candidate].effect)
     return ""
 

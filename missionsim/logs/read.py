@@ -108,7 +108,7 @@ def meters_alike(logs: Sequence[Run]) -> list[Run]:
         for kind, source in _SOURCES.items():
             own = [i for i, log in enumerate(found) if log.power_from.get(battery) == kind]
             masks = [found[i].fresh[battery] for i in own]
-            if kind == "energy" or all(mask is None for mask in masks) or not any(mask is None for mask in masks):
+            if kind == "energy" or len({mask is None for mask in masks}) < 2:
                 continue
             column = source.format(battery)
             rows = [(found[i].power_w[battery], found[i].time_s) for i in own]

@@ -148,36 +148,8 @@ def test_a_curve_is_nowhere_surer_than_the_rows_resolve() -> None:
     assert np.subtract(curve.high, curve.low) == pytest.approx(2.0 * 0.03 * top)
 
 
-def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However little the rows scatter: of a share of 20 % a tenth, and with 2 % of scatter the root of both squares."""
-    errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
-    fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
-    own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
-    own.sharpened = lambda done: (own, done)
-    monkeypatch.setattr(proposal, "Search", lambda *_: own)
-    for name, answer in (
-        ("by_levels", None),
-        ("_replaced", ((), None)),
-        ("_law", LAW),
-        ("_curve", None),
-        ("_twin", ""),
-        ("_goes_with", ()),
-    ):
-        monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
-    for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
-        monkeypatch.setattr(proposal, "_judged", lambda *_, sd=scatter: ([None], [], fitted, Gates(sd, {})))
-        left = SimpleNamespace(structures=())
-        found = SimpleNamespace(noise={}, demoted=(), library=(), unexplained=left)
-        made, *_ = proposal._propose(None, PLAIN, False, found)
-        assert made.share_sd == pytest.approx(sd, rel=1e-3)
-
-
-@pytest.mark.parametrize(("form", "told"), [((0, 1), False), ((0, 1, 2), True), ((0, 2), True)])
-def test_what_a_drift_may_stand_behind_is_no_law(
-    monkeypatch: pytest.MonkeyPatch, form: tuple[int, ...], told: bool
-) -> None:
-    """Cold over drives of a Husky, which a steady drift explained as well: no law of it came in its place."""
-    grammar = Grammar(tuple(Factor(n, n, n) for n in ("speed_m_s", "temp_ambient_c", "payload_kg")), ())
+def found_at_once(monkeypatch: pytest.MonkeyPatch, grammar: Grammar) -> SimpleNamespace:
+    """The fit of a law that every search finds, which replaces nothing and is no effect of the library."""
     errors = SimpleNamespace(without=1.0, with_law=0.5, energy_without=1.0, energy_with=0.5, better=4, acting=4)
     fitted = SimpleNamespace(errors=errors, share=0.2, rise=90.0, penalty=5.0)
     own = SimpleNamespace(best=lambda: SimpleNamespace(best=fitted), on_time=lambda _: own, ground=None, tried=2)
@@ -193,6 +165,27 @@ def test_what_a_drift_may_stand_behind_is_no_law(
         ("_goes_with", ()),
     ):
         monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
+    return fitted
+
+
+def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little the rows scatter: of a share of 20 % a tenth, and with 2 % of scatter the root of both squares."""
+    fitted = found_at_once(monkeypatch, PLAIN)
+    for scatter, sd in ((1e-6, 0.02), (0.02, 0.02 * np.sqrt(2.0))):
+        monkeypatch.setattr(proposal, "_judged", lambda *_, sd=scatter: ([None], [], fitted, Gates(sd, {})))
+        left = SimpleNamespace(structures=())
+        found = SimpleNamespace(noise={}, demoted=(), library=(), unexplained=left)
+        made, *_ = proposal._propose(None, PLAIN, False, found)
+        assert made.share_sd == pytest.approx(sd, rel=1e-3)
+
+
+@pytest.mark.parametrize(("form", "told"), [((0, 1), False), ((0, 1, 2), True), ((0, 2), True)])
+def test_what_a_drift_may_stand_behind_is_no_law(
+    monkeypatch: pytest.MonkeyPatch, form: tuple[int, ...], told: bool
+) -> None:
+    """Cold over drives of a Husky, which a steady drift explained as well: no law of it came in its place."""
+    grammar = Grammar(tuple(Factor(n, n, n) for n in ("speed_m_s", "temp_ambient_c", "payload_kg")), ())
+    fitted = found_at_once(monkeypatch, grammar)
     near = Scored(form, 90.0, 0.2, 90.0)
     monkeypatch.setattr(proposal, "_judged", lambda *_: ([near], [], fitted, Gates(0.01, {})))
     drift = SimpleNamespace(covariate="", effects=("temperature_friction",))
