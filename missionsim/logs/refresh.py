@@ -74,6 +74,11 @@ def refreshes(values: Array, time_s: Array, period_s: float | None = None) -> Re
         return None
     grain = float(np.min(np.diff(np.unique(values))))  # the least difference between two readings
     rounded = float(np.median(np.abs(np.diff(values[starts])))) < _ROUNDED * grain
+    if period_s is None:  # half a second is two rows and three by turns in rows of a fifth
+        typical = float(np.mean(lengths[np.abs(lengths - typical) <= max(1.0, 0.35 * typical)]))
+        few = lengths[lengths < 4.5 * typical]
+        for _ in range(3):
+            typical = float(few.sum() / np.maximum(np.round(few / typical), 1.0).sum())
     for start, length in zip(starts, every, strict=True) if rounded else ():
         if length * step_s < _SLOWEST_S:
             again = start + np.round(np.arange(1, round(length / typical)) * typical).astype(int)
@@ -95,7 +100,8 @@ def of_one_meter(
     seen_s = sum(s for s, mask in zip(seconds, masks, strict=True) if mask is not None)
     if seen_s < _OF_ALL * sum(seconds) or not held:
         return [None] * len(masks)
-    period_s = float(np.median([np.median(np.diff(time_s[mask])) for mask, time_s in held]))
+    every_s = [np.diff(time_s[mask]) for mask, time_s in held]
+    period_s = float(np.median([np.mean(one[one < 1.6 * np.median(one)]) for one in every_s]))
     found: list[Bools | None] = []
     for mask, value, time_s in zip(masks, values, times_s, strict=True):
         seen = refreshes(value, time_s, period_s) if mask is None else None
