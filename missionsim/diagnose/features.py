@@ -145,7 +145,7 @@ def make_features(
     unlogged = tuple(f"component_power:{c}" for c in ready.unknown), unknown_w
     off = never_on(model, ready)
     for effect in effects.values():
-        candidate = _candidate(effect, covariates, charged)
+        candidate = _candidate(effect, covariates, charged, _in_base(effect, covariates, ready.gradients))
         for cov, held_w in zip(covariates, columns, strict=True):
             held_w |= effect_columns(effects, [candidate], cov)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
@@ -236,13 +236,22 @@ def at_size(features: Features, sizes: Mapping[str, float]) -> Features:
     return replace(features, runs=tuple(runs))
 
 
-def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float) -> Candidate:
+def _in_base(effect: Effect, runs: Sequence[Covariates], gradients: Sequence[Mapping[str, Array]]) -> bool:
+    """Whether the base has a term that takes and gives back as an effect does that gives back all that it takes. Of the
+    share that comes back, the size and the base's own term two are then one too many: the two lean on each other."""
+    if not effect.back:
+        return False
+    whole = np.concatenate([_column(effect, cov, {effect.back: 1.0}) for cov in runs])
+    return bool(_shares_of(whole, list(gradients[0]), gradients))
+
+
+def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float, in_base: bool) -> Candidate:
     """An effect as the identification tests it; a grid of shape values or of surfaces gives one column each."""
     levels = tuple(part.removeprefix("k_") for part in effect.parts or ())
     free = [spec for spec in effect.shape if spec.grid or not spec.optional]
     # the share that an effect gives back is asked of the data only where the robot file leaves it to them; a descent
     # first saves what the drive needs, and where the battery is never charged there is no more to tell
-    decided = any(float(cov.get("regeneration", 0.0)) > 0.0 for cov in runs)
+    decided = in_base or any(float(cov.get("regeneration", 0.0)) > 0.0 for cov in runs)
     if decided or not (effect.one_sided or charged >= CHARGED):
         free = [spec for spec in free if spec.name != effect.back]
     axes = []

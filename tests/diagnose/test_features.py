@@ -12,8 +12,9 @@ from missionsim.diagnose.features import Features, make_features, steady_speed
 from missionsim.diagnose.split import Split
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
-from missionsim.inputs.loading import load_robot
+from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
 
@@ -215,3 +216,14 @@ def test_what_a_descent_gives_back_is_asked_where_the_battery_is_charged(
     runs = [drawing(log, np.where(np.arange(1000) < charged, -1.0, log.power_w["robot"]))]
     (grade,) = (one for one in features(model, *runs).candidates if one.effect == "grade")
     assert (len(grade.columns) > 1) is asked
+
+
+def test_the_share_given_back_is_not_asked_beside_a_base_that_takes_and_gives_back_all_of_it() -> None:
+    """Size, share and the base's own term are one number too many for two slopes: k was 75 ± 51 with 99 % given back,
+    and the base's 1.26 fell to −73."""
+    runs, shapes = [drive(seed, seconds=120.0) for seed in (1, 2)], []
+    for base in ("c3*v + c4", "c3*v + ka*m*a*v + c4"):
+        own = build_power_model(robot_from_text(calibrate_new(NewRobot("own", base, mass="20 kg"), runs).text))
+        (inertia,) = (one for one in features(own, *runs).candidates if one.effect == "acceleration")
+        shapes.append({name for one in inertia.shape for name in one})
+    assert shapes == [{"regeneration"}, set()]
