@@ -82,7 +82,7 @@ def goes_with(
     columns = {name: source.averaged(driven, model.clock) * root for name, driven in rows.items()}
     # what a column that hardly changes is times turning is turning
     plain = source.averaged([np.vstack(one) for one in _driving(known)], model.clock)
-    sizes = dict(zip(model.chosen, model.gram.coefficients(model.chosen)[0], strict=True))
+    sizes = dict(zip(model.chosen, model.gram.shares(model.chosen), strict=True))
     told: dict[str, str] = {}
     for effect in (one.effect for one in found.effects if columns):
         own = [k for k in model.chosen if model.constraints.of_column(k).effect == effect]

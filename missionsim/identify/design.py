@@ -9,17 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import (
-    Clock,
-    Intervals,
-    Rows,
-    RunColumns,
-    Weights,
-    find_clock,
-    integral_curves,
-    make_bins,
-    still,
-)
+from missionsim.identify.align import Clock, find_clock, still
+from missionsim.identify.averaging import Intervals, Rows, RunColumns, Weights, integral_curves, make_bins
 from missionsim.identify.data import Candidate, Column, Constraints, Layout, RunData
 from missionsim.identify.settings import (
     CLOCK_SD_S,
@@ -114,7 +105,7 @@ class Source:
     """The source that this one varies."""
     varied: dict[int, Array] = field(default_factory=dict)
     """Integral curves of the columns that differ from those of the root."""
-    _kept_design: tuple[tuple[Clock, tuple[int, ...]], Design] | None = field(default=None, init=False)
+    _kept_design: tuple[tuple[Clock, tuple[int, ...], bool], Design] | None = field(default=None, init=False)
     _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict, init=False)
     _kept_weights: tuple[Clock, Weights] | None = field(default=None, init=False)
 
@@ -166,9 +157,9 @@ class Source:
         return Intervals.of(self.columns)
 
     @cached_property
-    def _base_curve(self) -> Array:
-        """Integral curve of the base model, shape (2, edges, 1)."""
-        return integral_curves([run.values[:1] for run in self.columns], self._rows)
+    def _base_cubics(self) -> Array:
+        """Integral of the base model in every row, see `Intervals.cubics`."""
+        return self.intervals.cubics(integral_curves([run.values[:1] for run in self.columns], self._rows))
 
     def _weights(self, clock: Clock) -> Weights:
         """Weights of a clock; those of the last one are kept."""
@@ -177,22 +168,24 @@ class Source:
             self._kept_weights = (clock, self.intervals.weights(delays, clock.lag_s))
         return self._kept_weights[1]
 
-    def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
-        """Build the regression for a clock, with all candidate columns or some only."""
+    def design(self, clock: Clock, only: Sequence[int] | None = None, *, timed: bool = True) -> Design:
+        """Build the regression for a clock, with all candidate columns or some only; where it is not `timed`, without
+        the derivatives after the delay, which take half of the time and least squares does not look at."""
         chosen = tuple(range(len(self.layout.columns))) if only is None else tuple(only)
         if self.root is not None:
-            found = self.root.design(clock, chosen)
+            found = self.root.design(clock, chosen, timed=timed)
             phi = found.phi.copy()
             for place, k in enumerate(chosen):
                 if k in self.varied:
                     means = self.root.intervals.means(self.varied[k], self.root._weights(clock))[:, 0]
                     phi[place] = means * self.layout.unit(k)
             return replace(found, layout=self.layout, phi=phi)
-        if self._kept_design is None or self._kept_design[0] != (clock, chosen):
-            self._kept_design = ((clock, chosen), self._built(clock, chosen))
+        asked = (clock, chosen, timed)
+        if self._kept_design is None or self._kept_design[0] != asked:
+            self._kept_design = (asked, self._built(*asked))
         return self._kept_design[1]
 
-    def _built(self, clock: Clock, chosen: tuple[int, ...]) -> Design:
+    def _built(self, clock: Clock, chosen: tuple[int, ...], timed: bool) -> Design:
         q = len(self.layout.parameters)
         used = (*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen))
         curves = self._kept_curves.pop(used, None)
@@ -202,15 +195,20 @@ class Source:
         if len(self._kept_curves) > KEPT_CURVES:  # those that were used last are kept
             del self._kept_curves[next(iter(self._kept_curves))]
         here = np.ascontiguousarray(self.intervals.means(curves, self._weights(clock)).T)
-        run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
-        later, earlier = (
-            self.intervals.means_of_one(self._base_curve, run_delay + shift, clock.lag_s)
-            for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S)
-        )
         base, motion, switching, spread = here[:HEAD_ROWS]
-        slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
-        bend = (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
+        slope, bend = self._derivatives(base, clock) if timed else np.zeros((2, len(base)))
         scale = np.array([self.layout.unit(k) for k in chosen])
+        return replace(
+            self._frame,
+            base=base,
+            gradient=np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
+            phi=here[HEAD_ROWS + q :] * scale[:, None],
+            random=np.vstack([np.ones_like(base), base, motion, slope, bend]),
+        )
+
+    @cached_property
+    def _frame(self) -> Design:
+        """What a design has whatever the clock: measured power, when its rows are, and where runs and stretches lie."""
         runs: list[slice] = []
         stretches: list[slice] = []
         bins = [run.bins for run in self.columns]
@@ -220,20 +218,30 @@ class Source:
             ends = [*(first + b.starts[1:]), runs[-1].stop]
             stretches += [slice(int(first + start), int(end)) for start, end in zip(b.starts, ends, strict=True)]
         low, high, y = (np.concatenate([getattr(b, name) for b in bins]) for name in ("low_s", "high_s", "measured_w"))
+        none = np.zeros((0, len(y)))
         return Design(
             self.layout,
             y,
-            base,
+            np.zeros(len(y)),
             high - low,
             0.5 * (high + low),
-            np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
-            here[HEAD_ROWS + q :] * scale[:, None],
-            np.vstack([np.ones_like(base), base, motion, slope, bend]),
+            none,
+            none,
+            none,
             runs=tuple(runs),
             stretches=tuple(stretches),
             names=tuple(r.run for r in self.runs),
             begins_s=tuple(r.begin_s for r in self.runs),
         )
+
+    def _derivatives(self, base: Array, clock: Clock) -> tuple[Array, Array]:
+        """First and second derivative of the base model after the delay."""
+        run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
+        later, earlier = (
+            self.intervals.means_of_one(self._base_cubics, run_delay + shift, clock.lag_s)
+            for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S)
+        )
+        return (later - earlier) / (2 * DERIVATIVE_STEP_S), (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
 
 
 def switch_jumps(run: RunData) -> Array:

@@ -139,7 +139,7 @@ def _pairs_without(
         some = [int(k) for k in sets[row]]
         if own_beside(some):
             continue
-        share = dict(zip(some, np.abs(gram.coefficients(some)[0]), strict=True))
+        share = dict(zip(some, np.abs(gram.shares(some)), strict=True))
         new = [k for k in share if k not in rest and share[k] > constraints.settings.min_share]
         for k in new:
             # the smaller of two that explain it together is an aid, not the explanation
@@ -166,7 +166,7 @@ def pairs(model: Model) -> Alike:
     """How well each effect in the model can be told from every other effect (see `imitated`)."""
     gram, constraints = model.gram, model.constraints
     out: dict[str, dict[str, tuple[float, float]]] = {}
-    for value, a in zip(gram.coefficients(model.chosen)[0], model.chosen, strict=True):
+    for value, a in zip(gram.shares(model.chosen), model.chosen, strict=True):
         rest = [k for k in model.chosen if k != a]
         r, lead = imitated(gram, constraints, rest, a, float(value))
         row = out.setdefault(constraints.of_column(a).effect, {})

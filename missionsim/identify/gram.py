@@ -117,8 +117,12 @@ class Gram:
 
     def coefficients(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Shares of the chosen columns and their covariance (model-based)."""
+        return self.shares(chosen), np.asarray(np.linalg.inv(self._inner(chosen)[1]))
+
+    def shares(self, chosen: Sequence[int]) -> Array:
+        """Shares of the chosen columns alone."""
         index, inner = self._inner(chosen)
-        return np.asarray(np.linalg.solve(inner, self.full[index, 0])), np.asarray(np.linalg.inv(inner))
+        return np.asarray(np.linalg.solve(inner, self.full[index, 0]))
 
     def joint(self, chosen: Sequence[int], count: int) -> tuple[Array, Array]:
         """Relative shifts of the first `count` base parameters, then shares, and their posterior covariance."""
@@ -215,9 +219,9 @@ def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) ->
             gain[k] = -np.inf
         elif len(chosen) and np.isfinite(gain[k]):
             # a new column may turn the sign of one that is in
-            values, _ = gram.coefficients([*chosen, k])
-            if not np.all(constraints.sign[[*chosen, k]] * values >= 0):
-                gain[k] = -np.inf
+            every = [*chosen, k]
+            kept = np.all(constraints.sign[every] * gram.shares(every) >= 0)
+            gain[k] = gain[k] if kept else -np.inf
     return gain
 
 

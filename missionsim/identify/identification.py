@@ -264,7 +264,7 @@ def _unexplained(
     """What is left, with the share of the squared error that the structures make; `averages` are told, not counted."""
     left = model.design.residual
     if model.chosen:
-        left = left - model.gram.coefficients(model.chosen)[0] @ model.design.phi[list(model.chosen)]
+        left = left - model.gram.shares(model.chosen) @ model.design.phi[list(model.chosen)]
     variance = float(np.average(left**2, weights=model.design.duration_s))
     made = sum((s.size_share * model.design.layout.mean_power_w) ** 2 for s in structures)
     share = min(1.0, made / max(variance, 1e-300))

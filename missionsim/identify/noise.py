@@ -124,8 +124,9 @@ def states_after(shape: Shape, rows: Array, white: Array) -> Array:
 @dataclass(frozen=True)
 class Group:
     """Stretches side by side, their first `START_ROWS` rows (stretches, k, at most START_ROWS) and the others in whole
-    blocks (stretches, k, a multiple of BLOCK), each with the roots of the weights (stretches, 1, as many), 0 beyond
-    the end of a stretch, and where each stretch came from."""
+    blocks (stretches, k, blocks, BLOCK + 2), of which the last two are room for what the filter knows of the block
+    before, each with the roots of the weights (stretches, 1, rows), 0 beyond the end of a stretch, and where each
+    stretch came from."""
 
     head: Array
     head_root: Array
@@ -141,33 +142,33 @@ class Group:
         """Cut `parts` out of rows (k, n) with the roots of their weights (n,); runs begin at `begins`."""
         longest = max(part.stop - part.start for part in parts)
         begun = min(START_ROWS, longest)
-        blocks = -(-(longest - begun) // BLOCK) * BLOCK
-        head, tail = (np.full((len(parts), len(rows), n), NO_DENORMALS) for n in (begun, blocks))
-        head_root, tail_root = (np.zeros((len(parts), 1, n)) for n in (begun, blocks))
+        blocks = -(-(longest - begun) // BLOCK)
+        head, tail = (np.full((len(parts), len(rows), n), NO_DENORMALS) for n in (begun, blocks * BLOCK))
+        head_root, tail_root = (np.zeros((len(parts), 1, n)) for n in (begun, blocks * BLOCK))
         for i, part in enumerate(parts):
             middle = min(part.start + begun, part.stop)
             first, rest = slice(part.start, middle), slice(middle, part.stop)
             head[i, :, : middle - part.start], head_root[i, 0, : middle - part.start] = rows[:, first], root[first]
             tail[i, :, : part.stop - middle], tail_root[i, 0, : part.stop - middle] = rows[:, rest], root[rest]
         at = np.searchsorted(begins, [part.start for part in parts], side="right") - 1
-        return cls(head, head_root, tail, tail_root, tuple(parts), at, len(set(at.tolist())) == len(at))
+        room = np.empty((len(parts), len(rows), blocks, BLOCK + 2))
+        room[..., :BLOCK] = tail.reshape(len(parts), len(rows), blocks, BLOCK)
+        return cls(head, head_root, room, tail_root, tuple(parts), at, len(set(at.tolist())) == len(at))
 
     def filtered(self, shape: Shape) -> tuple[Array, Array]:
         """White rows of unit variance, weighted: the first `START_ROWS` and the others.
 
         Blocks are products of matrices, of all rows at once; what a block needs of those before it are two states.
         """
-        from scipy.linalg.blas import dgemm
-
         inverse, diagonal, _ = start_factor(*shape)
         count = self.head.shape[2]
         head = (self.head.reshape(-1, count) @ inverse[:count, :count].T).reshape(self.head.shape)
-        tail = self.tail
-        if tail.shape[2]:
+        tail = np.zeros((*self.head.shape[:2], 0))
+        if self.tail.shape[2]:
             matrix = block_filter(shape)
-            rows = tail.reshape(-1, BLOCK)
-            ends = rows @ matrix[:BLOCK, BLOCK:]
-            states = np.ascontiguousarray(ends.reshape(-1, tail.shape[2] // BLOCK, 2).swapaxes(0, 1))
+            rows = self.tail.reshape(-1, BLOCK + 2)
+            ends = rows[:, :BLOCK] @ matrix[:BLOCK, BLOCK:]
+            states = np.ascontiguousarray(ends.reshape(-1, self.tail.shape[2], 2).swapaxes(0, 1))
             last = (head[:, :, -2:] * diagonal[-2:]).reshape(-1, 2)
             both = states_after(shape, self.head[:, :, -2:].reshape(-1, 2), last)
             for block in states:
@@ -175,10 +176,8 @@ class Group:
                 after += block
                 block[:] = both
                 both = after
-            past = np.ascontiguousarray(states.swapaxes(0, 1)).reshape(-1, 2)
-            out = (rows @ matrix[:BLOCK, :BLOCK]).T
-            out = dgemm(1.0, matrix[BLOCK:, :BLOCK].T, past.T, 1.0, out, overwrite_c=True)
-            tail = np.asarray(out.T.reshape(tail.shape))
+            rows.reshape(-1, self.tail.shape[2], BLOCK + 2)[:, :, BLOCK:] = states.swapaxes(0, 1)
+            tail = (rows @ matrix[:, :BLOCK]).reshape(*self.head.shape[:2], -1)
             tail *= self.tail_root
         head *= self.head_root / arma_of(*shape)[2]
         return head, tail

@@ -287,7 +287,7 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
 
     @cache
     def rounded(delay: float, lag: float) -> Left:
-        design = source.design(replace(still, delay_s=delay, lag_s=lag), chosen)
+        design = source.design(replace(still, delay_s=delay, lag_s=lag), chosen, timed=False)
         return LeastSquares.of(design).leave_out(range(len(chosen)))
 
     def left(place: tuple[float, float]) -> Left:
@@ -323,7 +323,8 @@ def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int], earl
 
     @cache
     def left(delay_s: float, lag_s: float) -> Left:
-        return LeastSquares.of(source.design(at(delay_s, lag_s), chosen)).leave_out(range(len(chosen)))
+        design = source.design(at(delay_s, lag_s), chosen, timed=False)
+        return LeastSquares.of(design).leave_out(range(len(chosen)))
 
     def score(delay_s: float, lag_s: float) -> float:
         return -left(delay_s, lag_s).total if delay_s >= least_s else -np.inf

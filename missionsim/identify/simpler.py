@@ -130,7 +130,7 @@ def parameters_instead(model: Model, doubtful: Collection[str] = ()) -> dict[str
             "the file first"
         )
         own = [constraints.of_column(k).effect == effect for k in model.chosen]
-        told[effect] = Structure("", 0.0, 0.0, abs(float(gram.coefficients(model.chosen)[0][own].sum())), words)
+        told[effect] = Structure("", 0.0, 0.0, abs(float(gram.shares(model.chosen)[own].sum())), words)
     return told
 
 
@@ -148,7 +148,7 @@ def drifts_instead(model: Model) -> dict[str, Structure]:
                 f"either {candidate.effect}, or a steady drift from run to run in their order, as over a long day: "
                 "these data cannot tell; drive in another order"
             )
-            share = model.gram.coefficients(model.chosen)[0][[k in own for k in model.chosen]].sum()
+            share = model.gram.shares(model.chosen)[[k in own for k in model.chosen]].sum()
             told[candidate.effect] = Structure("", 0.0, 0.0, abs(float(share)), words, effects=(candidate.effect,))
     return told
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -72,12 +73,17 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
     # why a candidate was refused is told in the end, whichever step refused it
     refused = dict(found.refused)
     options: list[tuple[float, Choice]] = []
+
+    @cache
+    def anew(chosen: tuple[int, ...]) -> Model:
+        return fit_model(source, chosen)
+
     for trial in _trials(model, refused):
         fitted = fit_model(source, trial, model, thorough=False)
         evidence = weighed(fitted, fitted.chosen)
         if {gate for e in evidence.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
             # at the clock and noise of the model without it, most of it may have been taken for either
-            fitted = fit_model(source, trial)
+            fitted = anew(trial)
             evidence = weighed(fitted, fitted.chosen)
         if all(e.accepted for e in evidence.values()):
             value = log_likelihood(fitted) - float(np.sum(owed[list(trial)]))
@@ -87,7 +93,7 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
     # of twins, which differ by rounding, the one that the library has first, on every machine
     for _, best in sorted(options, key=lambda one: (-round(one[0], 6), one[1].model.chosen)):
         # the noise without an effect had swallowed it, and a fit that begins there may stay there
-        fresh = fit_model(source, best.model.chosen)
+        fresh = anew(best.model.chosen)
         if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
             best = replace(best, model=fresh, evidence=weighed(fresh, fresh.chosen))
         # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
@@ -204,7 +210,7 @@ def with_levels(choice: Choice) -> Choice:
         common = 0.5 * constraints.settings.recalibration_limit**2
         every, asked, gone = tuple(own), 0, list[int]()
         while len(own) > 1:
-            shares = model.gram.coefficients(model.chosen)[0][len(rest) :]
+            shares = model.gram.shares(model.chosen)[len(rest) :]
             # the floor that costs least is that of the base, where recalibration takes what all floors have in common
             least = min(own, key=lambda k: shares[own.index(k)] * model.design.layout.unit(k))
             lost = model.gram.gain(model.chosen) - model.gram.gain([k for k in model.chosen if k != least])

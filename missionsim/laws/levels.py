@@ -65,7 +65,7 @@ def _with_levels(
         return None
     design = ground.extended(rows)
     model = ground.at_noise(design, fitted.model.noise)
-    shares = model.gram.coefficients(model.chosen)[0]
+    shares = model.gram.shares(model.chosen)
     every = range(len(ground.chosen), len(design.phi))
     size = {i: float(shares[k]) * design.layout.unit(k) for i, k in zip(levels, every, strict=True)}
     most = max(size.values())

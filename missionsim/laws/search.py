@@ -89,7 +89,7 @@ class Fitted:
     @property
     def share(self) -> float:
         """Share of energy."""
-        return float(self.model.gram.coefficients(self.model.chosen)[0][-1])
+        return float(self.model.gram.shares(self.model.chosen)[-1])
 
     @cached_property
     def errors(self) -> LeftOut:

@@ -8,11 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from missionsim.identify.align import Intervals, RunColumns, alignment, integral_curves, make_bins
+from missionsim.identify import align
+from missionsim.identify.align import alignment
+from missionsim.identify.averaging import Intervals, RunColumns, integral_curves, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import KEPT_CURVES, make_source
 from missionsim.identify.gram import Blocks, eliminate_random
 from missionsim.identify.noise import START_ROWS, Packed, arma_of, start_factor, start_noise
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.settings import Settings
 
 from .world import averaged, library, make_runs, with_gap
@@ -45,7 +48,7 @@ def test_runs_together_are_averaged_like_runs_alone(several: list[RunColumns], l
     assert together[2, known] == pytest.approx(np.full(known.sum(), 2.5), rel=1e-9)
     assert known.sum() >= len(known) - 1
     base = integral_curves([run.values[:1] for run in several], [run.rows for run in several])
-    assert intervals.means_of_one(base, delays, lag_s) == pytest.approx(together[0], rel=1e-10)
+    assert intervals.means_of_one(intervals.cubics(base), delays, lag_s) == pytest.approx(together[0], rel=1e-10)
 
 
 def test_rows_at_uneven_times_are_not_mixed_with_their_neighbours() -> None:
@@ -236,3 +239,48 @@ def test_random_effects_are_integrated_out_for_several_noises_at_once() -> None:
     q = len(design.gradient)
     assert blocks[:, -2:, 0] == pytest.approx(blocks[:, 1 + q - 4 : 1 + q - 2, 0])
     assert design.random[3:] == pytest.approx(design.gradient[-4:-2])
+
+
+@pytest.mark.parametrize(("uneven", "close"), [(0.0, False), (0.8, False), (0.0, True)])
+def test_rows_are_looked_up_as_they_are_searched_for(uneven: float, close: bool) -> None:
+    """At their edges and a rounding beside them, too; where lengths are very unlike, without a table."""
+    rng = np.random.default_rng(2)
+    runs = []
+    for i in range(3):
+        time_s = 0.7 * (np.arange(300) + 0.5 + uneven * rng.uniform(-0.5, 0.5, 300))
+        if close:
+            time_s[150:153] = time_s[150] + [0.0, 1e-4, 2e-4]
+        run = RunData(f"r{i}", time_s, np.full(300, 0.7), rng.uniform(1, 9, 300), np.ones(300))
+        runs.append(RunColumns.of(run, make_bins(run, 1.0), [run.base_w]))
+    intervals = Intervals.of(runs)
+    rows = intervals.rows_s
+    assert (intervals._cells is None) is close
+    for j in range(3):
+        first, last = np.unique(intervals.first)[j], np.unique(intervals.last)[j]
+        own = rows[first : last + 1]
+        times = np.concatenate(
+            [own, np.nextafter(own[1:], 0.0), np.nextafter(own[:-1], np.inf), rng.uniform(*own[[0, -1]], 999)]
+        )
+        found, searched = intervals._row_of(times), np.searchsorted(rows, times, side="right") - 1
+        assert np.array_equal(*(np.clip(row, first, last - 1) for row in (found, searched)))
+
+
+def test_least_squares_needs_no_derivatives_after_the_delay() -> None:
+    source = make_source(make_runs(1, count=3), library(), {}, Settings(align=False))
+    clock = replace(source.clock, delay_s=0.2, lag_s=0.3)
+    plain, whole = (LeastSquares.of(source.design(clock, [2, 1], timed=timed)).sums for timed in (False, True))
+    assert np.array_equal(plain, whole)
+
+
+def test_a_start_of_the_clock_is_looked_for_once(several: list[RunColumns], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other priors ask for it again, of the same columns; other columns, times or watts are another question."""
+    asked: list[str] = []
+    monkeypatch.setattr(align, "_best_clock", lambda *_: (float(asked.append("searched") or len(asked)), 0.0))
+    monkeypatch.setattr(align, "_FOUND", {})
+    first, last = several[0], several[-1]
+    late = replace(last.bins, measured_w=last.bins.measured_w + 1.0)
+    moved = replace(last.rows, edges_s=last.rows.edges_s + 0.01)
+    others = [replace(last, values=last.values + 1.0), replace(last, bins=late), replace(last, rows=moved)]
+    found = [align.find_clock([first, one], 1.0) for one in (last, replace(last, values=last.values.copy()), *others)]
+    assert [delay_s for delay_s, _ in found] == [1.0, 1.0, 2.0, 3.0, 4.0]
+    assert align.find_clock([first, last], 2.0) == (5.0, 0.0)

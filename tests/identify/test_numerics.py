@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from missionsim.identify import model
-from missionsim.identify.align import RunColumns, make_bins
+from missionsim.identify.averaging import RunColumns, make_bins
 from missionsim.identify.data import Constraints, RunData
 from missionsim.identify.design import make_source, switch_jumps
 from missionsim.identify.evidence import _chance_of_jackknife, _jackknife

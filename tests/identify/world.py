@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Intervals, RunColumns, integral_curves
+from missionsim.identify.averaging import Intervals, RunColumns, integral_curves
 from missionsim.identify.data import Candidate, RunData
 
 Array = NDArray[np.float64]
