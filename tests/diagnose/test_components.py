@@ -17,7 +17,7 @@ from missionsim.inputs.loading import robot_from_text
 
 from .logs import drawing, drive
 
-pytestmark = pytest.mark.usefixtures("effects_alone")
+pytestmark = pytest.mark.usefixtures("effects_alone", "examined_once")
 
 BATTERY, BEACON_W = "robot", 1.2
 
