@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -54,7 +55,10 @@ SAME = 0.9999
 CHANGES = 0.9
 """Likeness to a constant below which a quantity changes in the logs."""
 OWN_METER = 0.99
-"""Correlation with the measured power from which on a column is that power, or the current of it."""
+"""Correlation with the measured power from which on a column may be that power, or the current of it."""
+AT_NOUGHT = 0.2
+"""Part of its mean by which such a column may then be off nought at no power; a load that makes nearly all of what the
+power changes by, beside a constant one, is further off (assumed)."""
 
 
 def propose(
@@ -89,13 +93,16 @@ def propose(
 
 def _own_meter(ground: Ground) -> set[str]:
     """Columns beyond the glossary that are the measured power once more, whatever they are called."""
-    found = set()
+    found, watts = set[str](), ground.design.y
     for name, value in ground.covariates[0].items():
         if column_of(name) is not None or is_text(value) or not np.shape(value):
             continue
         runs = [np.nan_to_num(np.asarray(run[name], dtype=float))[None, :] for run in ground.covariates if name in run]
         rows = ground.averaged(runs)[0] if len(runs) == len(ground.covariates) else np.zeros(1)
-        if np.ptp(rows) > 0.0 and abs(np.corrcoef(rows, ground.design.y)[0, 1]) > OWN_METER:
+        if not np.ptp(rows) > 0.0 or not abs(r := np.corrcoef(rows, watts)[0, 1]) > OWN_METER:
+            continue
+        at_nought = np.mean(rows) - math.copysign(np.std(rows) / np.std(watts), r) * np.mean(watts)
+        if abs(at_nought) < AT_NOUGHT * abs(np.mean(rows)):
             found.add(name)
     return found
 

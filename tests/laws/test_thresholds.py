@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -209,10 +210,20 @@ def test_how_long_a_drive_is_that_tells_two_forms_apart(
     assert drive.startswith(told)
 
 
-@pytest.mark.parametrize(("r", "own"), [(0.988, set()), (0.993, {"pack_reading"}), (-0.993, {"pack_reading"})])
-def test_a_column_that_is_the_measured_power_is_no_cause(r: float, own: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("r", "idle_w", "own"),
+    [
+        (0.988, 10.0, set()),
+        (0.993, 10.0, {"pack_reading"}),
+        (-0.993, 10.0, {"pack_reading"}),
+        (0.993, 10.7, {"pack_reading"}),
+        (0.993, 13.0, set()),  # a load of its own beside one that is always on
+    ],
+)
+def test_a_column_that_is_the_measured_power_is_no_cause(r: float, idle_w: float, own: set[str]) -> None:
     power, reading = at_an_angle(r)
-    ground = SimpleNamespace(covariates=[{"pack_reading": 5.0 + reading}], design=SimpleNamespace(y=power))
+    reading = math.copysign(10.0, r) + reading
+    ground = SimpleNamespace(covariates=[{"pack_reading": reading}], design=SimpleNamespace(y=idle_w + power))
     ground.averaged = lambda raw: raw[0]
     assert proposal._own_meter(ground) == own
 
