@@ -232,7 +232,7 @@ def test_a_column_that_is_the_measured_power_is_no_cause(r: float, idle_w: float
 def test_a_level_far_below_the_highest_is_none(monkeypatch: pytest.MonkeyPatch, least: float, part: float) -> None:
     monkeypatch.setattr(levels, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
     design = SimpleNamespace(phi=np.eye(3), layout=SimpleNamespace(unit=lambda _: 10.0))
-    gram = SimpleNamespace(coefficients=lambda _: (np.array([0.2, 0.1, 0.2 * least]), None))
+    gram = SimpleNamespace(shares=lambda _: np.array([0.2, 0.1, 0.2 * least]))
     ground = SimpleNamespace(chosen=(), extended=lambda _: design)
     ground.at_noise = lambda *_: SimpleNamespace(gram=gram, chosen=())
     own = SimpleNamespace(ground=ground, columns=lambda _: np.eye(3))
@@ -246,7 +246,7 @@ def test_levels_that_are_alike_are_none(monkeypatch: pytest.MonkeyPatch, second:
     """A law of one level everywhere has no level of its own for any."""
     monkeypatch.setattr(levels, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
     design = SimpleNamespace(phi=np.eye(2), layout=SimpleNamespace(unit=lambda _: 10.0))
-    gram = SimpleNamespace(coefficients=lambda _: (np.array([0.2, 0.2 * second]), None))
+    gram = SimpleNamespace(shares=lambda _: np.array([0.2, 0.2 * second]))
     ground = SimpleNamespace(chosen=(), extended=lambda _: design)
     ground.at_noise = lambda *_: SimpleNamespace(gram=gram, chosen=())
     own = SimpleNamespace(ground=ground, columns=lambda _: np.eye(2))
