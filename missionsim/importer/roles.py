@@ -26,8 +26,12 @@ WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words
 """How loggers call things: see the file."""
 
 
+_OF_LOGGERS = {"K": 1.0, "cA": 0.01}
+"""Units that robot files do not have; pint would be asked for them, which takes half a second to load."""
+
+
 def _factor(unit: str, dimension: str) -> float:
-    si = 1.0 if unit == "K" else unit_factor(unit, dimension)[0]
+    si = _OF_LOGGERS.get(unit) or unit_factor(unit, dimension)[0]
     return si / 3600.0 if dimension == "energy" else si
 
 

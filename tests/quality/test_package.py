@@ -56,6 +56,12 @@ def test_quick_commands_load_nothing_slow(arguments: list[str]) -> None:
     assert arguments == ["--help"] or "cyclopts" not in modules
 
 
+def test_an_import_of_usual_units_loads_no_pint() -> None:
+    """One of 46 units was asked of pint, which takes half a second to load."""
+    modules = loaded_by("from missionsim.importer.roles import UNITS; assert UNITS['cA'] == ('current', 0.01)")
+    assert "pint" not in modules
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_loads_and_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     module, attribute = COMMANDS[name][0].split(":")
