@@ -49,8 +49,7 @@ def find_files(given: Sequence[Path]) -> list[Path]:
         if not path.exists() and glob.has_magic(str(path)):
             inside = [Path(name) for name in sorted(glob.glob(str(path)))]
         elif path.is_dir() and not _is_source(path):
-            shown = [p for p in path.iterdir() if not p.name.startswith(".")]
-            inside = sorted(p for p in shown if p.suffix.lower() in source_suffixes() or _is_source(p))
+            inside = _inside(path)
         elif path.exists():
             inside = [path]
         else:
@@ -63,6 +62,18 @@ def find_files(given: Sequence[Path]) -> list[Path]:
     if faults:
         raise InputError(faults)
     return list(found)
+
+
+def _inside(folder: Path) -> list[Path]:
+    """What a folder holds to import: files, bags, and the files of bags that have lost their description."""
+    found: list[Path] = []
+    loose = tuple(suffix for reader in registry().values() if reader.folder for suffix in reader.suffixes)
+    for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
+        if path.suffix.lower() in source_suffixes() or _is_source(path):
+            found.append(path)
+        elif path.is_dir():
+            found += sorted(p for p in path.iterdir() if p.suffix.lower() in loose and not p.name.startswith("."))
+    return found
 
 
 def _is_source(path: Path) -> bool:
@@ -236,7 +247,7 @@ def _parts(
     if reader.recording is not None:
         found = reader.recording(path, Options(fields=own, clock=spec.stamp))
         for topic in found.topics:
-            topic.name, topic.time_s = f"{alias}.{topic.name}", topic.time_s - lag
+            topic.name, topic.time_s = f"{alias}.{topic.name}", topic.time_s + (found.start_s - lag)
         return found.topics, "utc", found.remarks
     assert reader.table is not None
     raw = reader.table(path, Options(header=spec.table.header, delimiter=spec.table.delimiter))

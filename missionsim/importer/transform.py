@@ -45,16 +45,25 @@ def unwrap(angle: Array, period: float = 2 * np.pi) -> Array:
     return result
 
 
+def _in_order(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Values by increasing time: rows may be out of order, and of those with the same time (a message that was
+    recorded twice) the mean counts."""
+    if (np.diff(time_s) > 0).all():
+        return time_s, values
+    times, index, count = np.unique(time_s, return_inverse=True, return_counts=True)
+    return times, np.bincount(index, values) / count
+
+
 def moving_average(values: Array, time_s: Array, over_s: float) -> Array:
     """Mean over a window of `over_s` around each row, of the values joined by straight lines; cut at the ends.
-    `values`, `time_s` (shape (n,)): time increasing [s]; `over_s`: length of the window [s]."""
-    known = np.isfinite(values)
-    if known.sum() < 2:
+    `values`, `time_s` (shape (n,)): time [s]; `over_s`: length of the window [s]."""
+    known = np.isfinite(values) & np.isfinite(time_s)
+    t, v = _in_order(time_s[known], values[known])
+    if len(t) < 2:
         return values
     from scipy.interpolate import make_interp_spline
 
-    t = time_s[known]
-    integral = make_interp_spline(t, values[known], k=1).antiderivative()
+    integral = make_interp_spline(t, v, k=1).antiderivative()
     low, high = np.maximum(time_s - 0.5 * over_s, t[0]), np.minimum(time_s + 0.5 * over_s, t[-1])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (integral(high) - integral(low)) / (high - low)
@@ -67,10 +76,10 @@ def rate_of_change(values: Array, time_s: Array, over_s: float | None = None) ->
     The derivative of a moving average is the difference of the values at both ends of its window over its length, so
     noise is divided by that length and not by the step of the log.
     """
-    known = np.isfinite(values)
-    if known.sum() < 2:
+    known = np.isfinite(values) & np.isfinite(time_s)
+    t, v = _in_order(time_s[known], values[known])
+    if len(t) < 2:
         return np.full(len(values), np.nan)
-    t, v = time_s[known], values[known]
     if over_s is None:
         return np.asarray(np.interp(time_s, t, np.gradient(v, t)))
     low, high = np.maximum(time_s - 0.5 * over_s, t[0]), np.minimum(time_s + 0.5 * over_s, t[-1])

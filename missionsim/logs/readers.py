@@ -62,6 +62,8 @@ class Recording:
 
     topics: list[Topic]
     remarks: list[Remark] = field(default_factory=list)
+    start_s: float = 0.0
+    """What the times of its topics count from: a float since 1970 holds no nanoseconds."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Reader:
     like: re.Pattern[bytes] | None = None
     """What such a file begins like, where its first bytes are not always the same."""
     folder: str = ""
-    """Name of a file that makes its folder one source."""
+    """Name of a file that makes its folder one source; a folder of such files without it is one as well."""
 
 
 @functools.cache

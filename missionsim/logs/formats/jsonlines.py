@@ -196,11 +196,12 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
             return None
         told, got = "the MCAP file cannot be read", first_line(error)
         raise InputError.single(told, file=str(path), got=got, allowed="a whole file") from None
+    start = min((min(times) for _, times, _ in held.values()), default=0)
     topics = [
-        Topic(name, np.array(times) / 1e9, columns_of(messages, options.fields, name), title, counts[name])
+        Topic(name, (np.array(times) - start) * 1e-9, columns_of(messages, options.fields, name), title, counts[name])
         for name, (title, times, messages) in held.items()
     ]
-    return Recording(topics) if counts else None
+    return Recording(topics, [], start * 1e-9) if counts else None
 
 
 _STATS = re.compile(r"(?:(\d\d)-(\d\d)-(\d{4}) (\d\d:\d\d:\d\d) )?RAM (\d+)/(\d+)MB ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import contextlib
 import re
 from collections.abc import Callable, Collection, Iterator
@@ -12,13 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.files import first_line, needed, unreadable
+from missionsim.logs.formats.bag_times import CLOCK_FIELDS, CLOCK_TYPE, common_times
 from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
 from missionsim.logs.raw import Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
-from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -27,10 +27,6 @@ _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[^\]]+\])*)\Z")
 _STATUS = re.compile(r"(/[^.\[]+)\[(.+?)\]\.(.+)\Z", re.DOTALL)
 _MOST_ELEMENTS = 16
 """Elements of an array that a listing shows."""
-_CLOCKS_APART_S = 5.0
-_STAMPS_APART_S = 0.5
-"""Header and bag differ by transport and buffering, tenths of a second; a topic that differs by more from the others
-has another clock, or another way, and far beyond (`_CLOCKS_APART_S`) no time of it can stand beside theirs."""
 _Get = Callable[[Any], Any]
 
 
@@ -65,6 +61,11 @@ def read_bag(path: Path, options: Options) -> Recording:
     broken: list[str] = []
     with open_bag(path) as reader:
         wanted = None if options.fields is None else _wanted(options.fields)
+        asked = None if wanted is None else set(wanted)
+        # simulated time puts messages without a header beside those with one
+        clock = next((topic for topic, info in reader.topics.items() if info.msgtype == CLOCK_TYPE), "")
+        if clock and wanted is not None and options.clock == "header":
+            wanted[clock] = wanted.get(clock, {}) | {name: _getter(name) for name in CLOCK_FIELDS}
         infos = {topic: info for topic, info in reader.topics.items() if wanted is None or topic in wanted}
         connections = [c for c in reader.connections if c.topic in infos]
         seen = dict.fromkeys(infos, 0)
@@ -118,9 +119,21 @@ def read_bag(path: Path, options: Options) -> Recording:
         if not remarks and path.suffix == ".mcap" and not _index_fits(path, found):
             message = "the index at its end does not fit the file: bytes are missing or were put in"
             remarks.append(damaged(message))
-    times = _times({name: (topic.stamps, topic.received) for name, topic in held.items()}, options.clock, remarks)
+    simulated = _simulated_time(held[clock]) if clock in held else None
+    held = {name: topic for name, topic in held.items() if asked is None or name != clock or clock in asked}
+    stamps = {name: (topic.stamps, topic.received) for name, topic in held.items()}
+    times, start_s = common_times(stamps, options.clock, simulated and (clock, *simulated), remarks)
     topics = [Topic(name, times[name], topic.columns(), topic.title, topic.count) for name, topic in held.items()]
-    return Recording(topics, remarks)
+    return Recording(topics, remarks, start_s)
+
+
+def _simulated_time(held: Held) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """When the messages of a clock were received, and the times in them [ns]."""
+    columns = held.columns()
+    if not set(CLOCK_FIELDS) <= columns.keys():
+        return None
+    whole, rest = (np.asarray(columns[name]).astype(np.int64) for name in CLOCK_FIELDS)
+    return np.array(held.received, dtype=np.int64), whole * 10**9 + rest
 
 
 def _wanted(fields: Collection[str]) -> dict[str, dict[str, _Get | None]]:
@@ -179,33 +192,6 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
     return [(topic, found)]
 
 
-def _times(
-    stamps: dict[str, tuple[array.array[int], array.array[int]]], clock: str, remarks: list[Remark]
-) -> dict[str, Array]:
-    """Times of each topic's messages [s], all by the same clock.
-
-    Messages without a header have the bag's time only. Where headers are of another clock than these or than one
-    another (simulated time, a microcontroller that counts from its start), they cannot be mixed, and the bag's time is
-    taken for all.
-    """
-    pairs = {name: np.array(pair, dtype=np.int64) for name, pair in stamps.items()}
-    which = 0 if clock == "header" else 1
-    # a message without a header has the bag's time, so that it lies nought off
-    off = {name: float(np.median(header - received)) * 1e-9 for name, (header, received) in pairs.items()}
-    if which == 0 and off:
-        usual = float(np.median(list(off.values())))
-        strange = [name for name in off if abs(off[name] - usual) > _STAMPS_APART_S]
-        if max(off.values()) - min(off.values()) > _CLOCKS_APART_S:
-            which, action = 1, "the times at which the bag received the messages were taken"
-        else:
-            action = "left as it is; `stamp: bag` in a map takes the times at which the bag received the messages"
-        if strange:
-            told = ", ".join(f"{off[name]:+.4g} s in {name}" for name in strange)
-            message = f"headers are not of one clock: off the bag's by {told}, by {usual:+.2g} s in most topics"
-            remarks.append(Remark("clock", "", message, action))
-    return {name: pair[which].astype(np.float64) * 1e-9 for name, pair in pairs.items()}
-
-
 _STATISTICS = 11
 """Type of the record that begins with the number of messages."""
 
@@ -261,6 +247,6 @@ def _names(kind: type) -> list[str]:
 
 READERS = (
     Reader("rosbag1", "ROS 1 bag", (".bag",), (b"#ROSBAG",), recording=read_bag),
-    Reader("mcap", "MCAP file", (".mcap",), (b"\x89MCAP",), recording=read_bag),
     Reader("rosbag2", "ROS 2 bag", (".db3",), (b"SQLite format 3",), recording=read_bag, folder="metadata.yaml"),
+    Reader("mcap", "MCAP file", (".mcap",), (b"\x89MCAP",), recording=read_bag, folder="metadata.yaml"),
 )

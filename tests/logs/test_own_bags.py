@@ -1,0 +1,157 @@
+"""Bags as robots' owners record them: clocks, duplicates, what is left of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="the extra 'logs' is not installed")
+
+from missionsim.cli.app import run_command as main
+from missionsim.importer import transform
+from missionsim.importer.mapping import import_source
+from missionsim.inputs.loading import load_map
+from missionsim.logs import LogTable
+from missionsim.logs.readers import Options, reader_of
+from tests.logs.bag_messages import Bag
+from tests.logs.bag_writers import START_S, write_bag
+
+MAP = """\
+kind: map
+signals: {watts: /power.data, v: /odom.twist.twist.linear.x, x: /odom.pose.pose.position.x}
+timeline: watts
+columns: {time_s: time_s, power_robot_w: {value: watts, average: 1 s}, speed_m_s: v, x_m: x}
+"""
+
+
+def imported(tmp_path: Path, source: Path, text: str = MAP) -> LogTable:
+    (tmp_path / "m.yaml").write_text(text)
+    (log,) = import_source(source, load_map(tmp_path / "m.yaml"))
+    return log
+
+
+def command(tmp_path: Path, source: Path, text: str = MAP) -> int:
+    (tmp_path / "m.yaml").write_text(text)
+    return main(["import", str(source), "--map", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "out")])
+
+
+# what a folder holds
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_a_bag_without_its_metadata_among_bags_is_read(tmp_path: Path, kind: str) -> None:
+    for name in ("a", "b", "c"):
+        write_bag(tmp_path / "train" / name, kind, 5.0)
+    (tmp_path / "train" / "b" / "metadata.yaml").unlink()
+    (tmp_path / "train" / "plots").mkdir()
+    text = "kind: map\nsignals: {p: /battery.voltage}\ncolumns: {time_s: time_s, power_robot_w: p}\n"
+    assert command(tmp_path, tmp_path / "train", text) == 0
+    assert len(list((tmp_path / "out").iterdir())) == 3
+
+
+# times
+
+
+def test_averages_of_times_that_repeat_or_go_back() -> None:
+    """A bag with the same message twice, and one that came late: the mean of those of one time, in order of time."""
+    time = np.array([0.0, 1.0, 1.0, 3.0, 2.0, 4.0])
+    values = np.array([0.0, 0.8, 1.2, 3.0, 2.0, 4.0])
+    np.testing.assert_allclose(transform.moving_average(values, time, 1.0)[1:5], [1.0, 1.0, 3.0, 2.0])
+    for over in (None, 1.0):
+        np.testing.assert_allclose(transform.rate_of_change(values, time, over), 1.0)
+
+
+def test_the_same_message_twice_is_one(tmp_path: Path) -> None:
+    bag = Bag()
+    for i in range(300):
+        t = 0.2 * i
+        bag.odometry("/odom", t, 0.5, x=0.5 * t)
+        bag.number("/power", t, 20.0)
+        if i % 50 == 7:
+            bag.number("/power", t, 20.0)
+    assert command(tmp_path, bag.write(tmp_path / "run")) == 0
+
+
+def test_times_keep_their_nanoseconds(tmp_path: Path) -> None:
+    """A recorder that received two seconds at once: a float since 1970 tells no two of its messages apart."""
+    bag = Bag()
+    for i in range(300):
+        burst = (i // 10 + 1) * 2_000_000_000
+        bag.odometry("/odom", 0.2 * i, 0.5, received=(burst + 40 * (i % 10)) * 1e-9)
+        bag.number("/power", burst + 40 * (i % 10) + 20, 20.0)
+    path = bag.write(tmp_path / "run")
+    reader = reader_of(path)
+    assert reader.recording is not None
+    found = reader.recording(path, Options(fields={"/power.data"}))
+    (topic,) = found.topics
+    assert (np.diff(topic.time_s) > 0).all()
+    assert found.start_s + topic.time_s[0] == pytest.approx(START_S + 2.0, abs=1e-6)
+    assert command(tmp_path, path) == 0
+
+
+# simulated time
+
+
+def simulated(*, rate: float = 0.8, clock: bool = True, wall: bool = False) -> Bag:
+    """240 s of simulated time at a real-time factor of `rate`; power without a header, odometry with a simulated one.
+
+    `wall`: its clock is that of 1970 on, and not of the start of the simulation.
+    """
+    bag, start = Bag(), START_S if wall else 0
+    for i in range(1200):
+        t = 0.2 * i
+        received = 3.0 + t / rate
+        if clock:
+            for step in (0.0, 0.1):
+                bag.put("/clock", received + step / rate, "rosgraph_msgs/Clock", clock=bag.time(start + t + step))
+        v = 0.5 * (i // 100 % 2)
+        bag.odometry("/odom", t, v, x=0.1 * v * i, header=bag.header(t, start), received=received + 0.004)
+        bag.number("/power", received + 0.006, 10.0 + 20.0 * v)
+    return bag
+
+
+@pytest.mark.parametrize("wall", [False, True])
+@pytest.mark.parametrize("clock", [True, False])
+@pytest.mark.parametrize("rate", [0.8, 1.6])
+def test_topics_without_a_header_go_by_simulated_time(tmp_path: Path, rate: float, clock: bool, wall: bool) -> None:
+    log = imported(tmp_path, simulated(rate=rate, clock=clock, wall=wall).write(tmp_path / "run"))
+    assert log.duration_s == pytest.approx(240.0, rel=0.005)
+    assert log.energy_wh("robot") == pytest.approx(15.0 * 240 / 3600, rel=0.01)
+    (told,) = [remark for remark in log.remarks if remark.kind == "clock"]
+    assert f"at {rate:.3g} times the bag's clock, and /power has the bag's time only" in told.message
+    assert ("(/clock)" in told.message) == clock
+    assert told.severity == ("note" if clock else "warning")
+
+
+def test_the_bags_time_is_taken_where_a_map_asks_and_the_rate_is_told(tmp_path: Path) -> None:
+    text = MAP.replace("timeline:", "stamp: bag\ntimeline:")
+    log = imported(tmp_path, simulated().write(tmp_path / "run"), text)
+    assert log.duration_s == pytest.approx(300.0, rel=0.005)
+    (told,) = [remark for remark in log.remarks if remark.kind == "clock"]
+    assert "headers of /odom run at 0.8 times the bag's clock" in told.message
+    assert "1.25 times" in told.action
+
+
+def test_a_clock_beside_headers_of_another_changes_nothing(tmp_path: Path) -> None:
+    """Somebody else's simulation was in the network: the robot's own headers have the time of day."""
+    bag = Bag()
+    for i in range(600):
+        t = 0.2 * i
+        bag.put("/clock", t, "rosgraph_msgs/Clock", clock=bag.time(0.5 * t))
+        bag.odometry("/odom", t, 0.5, x=0.5 * t, received=t + 0.004)
+        bag.number("/power", t, 20.0)
+    log = imported(tmp_path, bag.write(tmp_path / "run", "sqlite3"))
+    assert log.duration_s == pytest.approx(120.0, rel=0.005)
+    assert not [remark for remark in log.remarks if remark.kind == "clock"]
+
+
+def test_headers_with_the_time_of_day_beside_simulated_ones(tmp_path: Path) -> None:
+    """The battery's driver does not know of the simulation."""
+    bag = simulated()
+    for i in range(600):
+        bag.battery("/battery", 0.5 * i, 24.0, 1.0, received=0.5 * i + 0.01)
+    text = MAP.replace("/power.data", "/battery.voltage")
+    log = imported(tmp_path, bag.write(tmp_path / "run"), text)
+    assert log.duration_s == pytest.approx(240.0, rel=0.02)
