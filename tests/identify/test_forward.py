@@ -307,7 +307,7 @@ def test_a_lag_that_halves_the_error_of_left_out_runs_is_one_though_a_run_disagr
         return SimpleNamespace(leave_out=lambda _: Left(power**2, power, power))
 
     monkeypatch.setattr(predictive.LeastSquares, "of", squares_at)
-    source = SimpleNamespace(runs=range(4), layout=SimpleNamespace(step_s=1.0), design=lambda clock, _: clock)
+    source = SimpleNamespace(runs=range(4), layout=SimpleNamespace(step_s=1.0), design=lambda clock, _, *, timed: clock)
     assert sober_clock(source, ()).lag_s == pytest.approx(0.6 if seen else 0.0)  # type: ignore[arg-type]
 
 
@@ -520,7 +520,7 @@ def test_the_clock_near_the_one_of_the_likelihood(
         return SimpleNamespace(leave_out=lambda _: predictive.Left(square, square, square))
 
     monkeypatch.setattr(predictive.LeastSquares, "of", left)
-    source: Any = SimpleNamespace(runs=range(6), design=lambda clock, _: clock)
+    source: Any = SimpleNamespace(runs=range(6), design=lambda clock, _, *, timed: clock)
     found = predictive.least_squares_clock(source, near, (), earliest_s)
     assert found.delay_s == pytest.approx(found_s)
     assert found.lag_s == pytest.approx(0.4)
