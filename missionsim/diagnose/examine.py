@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.diagnose.features import Features, at_size, make_features, steady_speed
+from missionsim.diagnose.features import Features, at_size, beside_base, make_features, steady_speed
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.manoeuvres import sharpest
 from missionsim.diagnose.split import Split, lacking, stretches, with_same_causes
@@ -157,6 +157,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
 
     def identified(robot: Subject, seen: Features) -> tuple[Features, Identification]:
         seen = replace(seen, prior_sd=_priors_of(robot, seen, split.train))
+        seen = beside_base(seen, robot.model, train, settings)
         return seen, identify(seen.runs, seen.candidates, seen.prior_sd, settings)
 
     try:

@@ -15,9 +15,11 @@ import numpy as np
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates
 from missionsim.effects.library import FLOORS, all_effects, execution_effects, floors_effect, logged_power_columns
-from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.errors import InputError
+from missionsim.fit.final import final_fit
 from missionsim.fit.prepare import acting, never_on, prepare
+from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import (
     SLOW_ROWS_S,
@@ -26,6 +28,7 @@ from missionsim.identify.settings import (
     SPEED_JUMPS_BACK,
     SPEED_NOISY,
     SPEED_ROWS,
+    Settings,
 )
 from missionsim.labels import Labels
 from missionsim.physics import Array
@@ -84,7 +87,7 @@ def make_features(
     """
     ready = prepare(model, logs, battery)
     surfaces = ready.texts.get("surface", ())
-    names, covariates = {*ready.names, "load_w", "drive_w"}, ready.covariates
+    names, covariates = {*ready.names, "load_w", "drive_w", "traction_w"}, ready.covariates
     # components to test, and whether their switch is logged
     components = dict.fromkeys(switchable, False) | dict.fromkeys(sorted(n[3:] for n in names if is_switch(n)), True)
     there = {term.effect.id for term in model.of(battery)}
@@ -94,6 +97,8 @@ def make_features(
         volts = np.concatenate([np.asarray(cov[column], dtype=float) for cov in covariates])
         if float(np.std(volts)) < STEADY * abs(float(np.mean(volts))):
             held.add("battery_resistance")  # the same as conversion_loss there
+    if not any({"accel_m_s2", "slope_rad"} & set(term.effect.needs) for term in model.of(battery) if term.base):
+        held.add("lost_recuperation")  # a base that knows neither acceleration nor slope takes nothing as given back
     if not there & {"turning_scrub", "skid"}:
         # an interaction enters after its main effect (Nelder 1977, marginality): any load that goes with turning is
         # louder on one floor than on another
@@ -243,6 +248,29 @@ def _in_base(effect: Effect, runs: Sequence[Covariates], gradients: Sequence[Map
         return False
     whole = np.concatenate([_column(effect, cov, {effect.back: 1.0}) for cov in runs])
     return bool(_shares_of(whole, list(gradients[0]), gradients))
+
+
+def beside_base(features: Features, model: PowerModel, logs: Sequence[Run], settings: Settings) -> Features:
+    """The same features, with what pushes back as a base has it that was fitted beside it.
+
+    A base that takes all as given back, fitted to a drive that gives back nothing, has slopes half-way between, and
+    pushes back too little.
+    """
+    own = [effect for effect in features.effects.values() if effect.of_drive]
+    if not own:
+        return features
+    terms = [
+        Term(TermKey(features.battery, e.component, e.id), e, {"k": ModelParameter(0.5, "1")}, base=False) for e in own
+    ]
+    both = replace(model, terms=(*model.terms, *terms))
+    clock = Clock.as_logged(len(logs))
+    base = final_fit(both, logs, features.battery, features.prior_sd, clock, settings).model
+    covariates, runs = [], []
+    for run, cov in zip(features.runs, features.covariates, strict=True):
+        covariates.append({**cov, "traction_w": base.traction_w(cov, features.battery)})
+        columns = {effect.id: _column(effect, covariates[-1], {}) for effect in own}
+        runs.append(replace(run, columns={**run.columns, **columns}))
+    return replace(features, runs=tuple(runs), covariates=tuple(covariates))
 
 
 def _candidate(effect: Effect, runs: Sequence[Covariates], charged: float, in_base: bool) -> Candidate:

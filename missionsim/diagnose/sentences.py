@@ -22,6 +22,7 @@ _SUBJECT = {
     "grade": "Climbing",
     "payload": "Carrying payload while driving",
     "acceleration": "Changing speed",
+    "lost_recuperation": "What braking or a descent does not give back",
     "copper_loss": "Pulling hard (copper loss)",
     "turning_scrub": "Turning",
     "surface_turning_scrub": "Turning on some floors",

@@ -70,6 +70,8 @@ class Effect:
     """Whether its power is part of the drive's (what braking and going downhill can relieve)."""
     recovers: bool = False
     """Whether it may be negative and is limited by what the drive can give back."""
+    of_drive: bool = False
+    """Whether it depends on the power of the whole drive, so that it comes after that."""
     of_load: bool = False
     """Whether it depends on the load of its battery, so that it comes last."""
     execution: bool = False
@@ -133,7 +135,7 @@ class Effect:
             return 3
         if self.recovers:
             return 1
-        return 0 if self.drive else 2
+        return 0 if self.drive and not self.of_drive else 2
 
 
 Declared = TypeVar("Declared")

@@ -64,7 +64,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 }
 _ABSENT = {"mass_kg": 1.0}
 """What a covariate counts as where nothing tells it; 0 any other."""
-_PLAIN = ("component", "covariate", "drive", "of_load", "execution", "recovers", "one_sided", "back", "beyond", "sign")
+_PLAIN = ("component", "covariate", "drive", "of_drive", "of_load", "execution", "recovers", "one_sided", "back")
 
 
 def _called(call: str, needs: Sequence[str]) -> Power:
@@ -117,7 +117,8 @@ def specs_of(told: Mapping[str, Json]) -> tuple[ParameterSpec, ...]:
 def declared(id: str, told: Json) -> Effect:
     """The effect of an entry of a file."""
     needs = tuple(told.get("needs", ()))
-    more: dict[str, Any] = {"drive": "component" not in told} | {key: told[key] for key in _PLAIN if key in told}
+    more: dict[str, Any] = {"drive": "component" not in told}
+    more |= {key: told[key] for key in (*_PLAIN, "beyond", "sign") if key in told}
     if "impulse" in told:
         more["impulse"] = _called(told["impulse"], needs)
     if "relief" in told:
@@ -207,7 +208,7 @@ def logged_power_effect(column: str) -> Effect:
     )
 
 
-_OWN_WATTS = frozenset(("drive_w", "load_w", "measured_w", "base_w"))
+_OWN_WATTS = frozenset(("drive_w", "traction_w", "load_w", "measured_w", "base_w"))
 _WHOLE = frozenset(("total", "battery", "batt", "pack", "bus", "sum"))
 
 

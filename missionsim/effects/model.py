@@ -228,6 +228,8 @@ class PowerModel:
                     raise InputError(self.lacking(given, name))
                 own = self._values(term, values)
                 load = {**given, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else given
+                if effect.of_drive:
+                    load = {**given, "traction_w": self.traction_w(given, name, values)}
                 if effect.lags:
                     known = ((lag.text, _lag_name(term, lag)) for lag in effect.lags)
                     load = {**load, **{text: given[lag] for text, lag in known if lag in given}}
@@ -242,12 +244,22 @@ class PowerModel:
                     relieving[term.key] = power
                     parts.append(1.0 if effect.relief is None else effect.relief(own))
                     back.append(own.get(effect.back, number(given, "regeneration")))
-                elif effect.drive:
+                elif effect.drive and not effect.of_drive:
                     drive = drive + (np.maximum(power, 0.0) if effect.back else power)
             if relieving:
                 relieved = relieved_powers([*relieving.values()], drive, back, parts)
                 powers.update(zip(relieving, relieved, strict=True))
         return found
+
+    def traction_w(self, cov: Covariates, battery: str, values: Mapping[str, Value] | None = None) -> Value:
+        """Power that the base takes to drive the same way straight ahead [W], negative where it pushes back; turning
+        needs nothing of what a descent gives back (assumed).
+
+        `cov`: complete covariates; `values` as in `evaluate`.
+        """
+        straight = {**cov, "yaw_rate_rad_s": 0.0}
+        own = (t for t in self.of(battery) if t.effect.stage == 0)
+        return sum((t.effect.power(straight, self._values(t, values or {})) * t.scale for t in own), start=0.0)
 
     def complete(self, cov: Covariates, values: Mapping[str, Value] | None = None) -> Columns:
         """`cov` with the robot's own constants, those of `values` if they are there, and the total mass."""
@@ -300,6 +312,7 @@ class PowerModel:
             # limited by what the drive needs, or of the load: the powers of the model are then not a plain sum
             (
                 term.effect.of_load
+                or term.effect.of_drive
                 or (term.limited and (not term.effect.one_sided or "relief" in term.parameters or regenerates))
             )
             and any(p.value != 0.0 for p in term.parameters.values())

@@ -148,6 +148,12 @@ def recovered_power(power_w: Value, drive_w: Value, regeneration: Value) -> Valu
     return np.maximum(power_w, floor) + regeneration * np.minimum(power_w - floor, 0.0)
 
 
+def lost_recuperation_power(traction_w: Value, k: Value) -> Value:
+    """What a drive that pushes back does not return, ``k max(−P, 0)`` (library effect `lost_recuperation`; k
+    without unit, 1 where the brakes or the windings take all of it)."""
+    return k * np.maximum(-traction_w, 0.0)
+
+
 def relieved_part(k: Value) -> Value:
     """Part of the drive's power that lifting with the factor ``k`` can relieve on the way down.
 

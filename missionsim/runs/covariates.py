@@ -85,7 +85,7 @@ ASSUMED = {one.name: one.assumed for one in _ALL if one.assumed}
 # what is measured of the load follows it, so it can never be its cause; places and clocks of memory are no physics
 _NO_CAUSE = re.compile(
     r"(^|_)(voltage|volts?|energy|soc|charge|charging)(_|$)|^power_.+_w$|^current_.+_a$"
-    r"|^(x_m|y_m|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
+    r"|^(x_m|y_m|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|traction_w|load_w|moving)$"
     r"|^on_time_"
     r"|(^|_)(latitude|longitude|lat|lon|altitude|[hvp]dop|satellites|sats|covariance|seq|stamp)(_|$)"
 )

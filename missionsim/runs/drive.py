@@ -184,7 +184,8 @@ class Driven:
         drive = {term.key for term in self.model.of(battery) if term.effect.drive}
         rows = np.zeros(len(self.time_s))
         own = (power for key, power in self.terms[battery].items() if key in drive)
-        return {"drive_w": sum(own, start=rows), "load_w": self.row_w(battery)}
+        straight = rows + self.model.traction_w(self.covariates, battery)
+        return {"drive_w": sum(own, start=rows), "traction_w": straight, "load_w": self.row_w(battery)}
 
     def at(self, model: PowerModel) -> Driven:
         """The same rows driven by a model with the same terms and other values."""

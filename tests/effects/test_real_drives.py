@@ -7,11 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.features import Features, make_features
+from missionsim.diagnose.split import Split
 from missionsim.effects.library import get_effect, logged_power_columns
 from missionsim.effects.model import PowerModel
 from missionsim.engine.simulate import simulate
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.fit.parameters import fit_parameters
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_mission, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.labels import Labels
@@ -111,6 +115,66 @@ def test_odometry_that_trembles_at_rest_pulls_nothing() -> None:
     energy of a small robot."""
     rest = {"speed_m_s": np.array([5e-4, -5e-4, 0.3]), "accel_m_s2": np.zeros(3), "mass_kg": 2.0}
     assert get_effect("copper_loss").power(rest, {"k": 1.0, "rolling": 0.1})[:2] == pytest.approx([0.0, 0.0])
+
+
+LINEAR = "c3*v + kw*abs(w) + ka*m*a*v + kg*m*v*sin(theta)"
+FORMULA = "motion: {battery: robot, model: expression, power: '%s + c4', standing: 2, parameters: {c3: 10, kw: 20, %s}}"
+OF_MASS = "ka: 1.4, kg: 14, c4: 3"
+
+
+def with_formula(power: str, effects: str = "") -> str:
+    motion = next(line for line in ROBOT.splitlines() if line.startswith("motion"))
+    return (ROBOT % "").replace(motion, FORMULA % (power, OF_MASS)) + (f"effects:\n{effects}" if effects else "")
+
+
+LOST = "  - {effect: lost_recuperation, battery: robot, parameters: {k: %g}}\n"
+
+
+@pytest.mark.parametrize("lost", [0.4, 1.0])
+def test_what_a_linear_base_gives_back_is_lost_in_part_but_for_turning(lost: float) -> None:
+    cov = {"speed_m_s": V, "accel_m_s2": A, "slope_rad": np.array([0.0, -0.1, -0.1, 0.1, 0.0])}
+    cov |= {"yaw_rate_rad_s": np.array([0.0, 0.3, 1.0, 0.0, 0.0]), "time_s": np.arange(5.0)}
+    own = build_power_model(robot_from_text(with_formula(LINEAR, LOST % lost)))
+    kinetic, lifting = 1.4 * 30 * A * V, 14 * 30 * V * np.sin(cov["slope_rad"])
+    ahead = 10 * V + kinetic + lifting
+    moving = 20 * cov["yaw_rate_rad_s"] + np.maximum(ahead, 0.0) + (1 - lost) * np.minimum(ahead, 0.0) + 3
+    assert own.total(cov, "robot") == pytest.approx(np.where(V > 0.0, moving, 2.0), rel=1e-12)
+    assert np.sum(ahead < 0.0) == 3
+    slopes = own.gradient(own.complete(cov), "robot")
+    part = np.where(ahead < 0.0, 1.0 - lost, 1.0)
+    assert slopes["kg"] == pytest.approx(part * lifting, rel=1e-6)
+    assert slopes["lost_recuperation.k"] == pytest.approx(-lost * np.minimum(ahead, 0.0), rel=1e-6)
+
+
+def test_a_mission_without_recuperation_takes_what_its_formula_would(tmp_path: Path) -> None:
+    (tmp_path / "site.yaml").write_text(
+        "kind: environment\nname: hill\nplaces: {top: {x: 0, y: 0}, end: {x: 90, y: 0}, back: {x: 0, y: 9}}\n"
+        "edges: [{from: top, to: end, slope: -0.1}, {from: end, to: back, slope: -0.01}, {from: back, to: top}]\n"
+    )
+    (tmp_path / "mission.yaml").write_text(
+        "kind: mission\nname: down\nrobot: robot.yaml\nenvironment: site.yaml\nstart: top\n"
+        "defaults: {speed: 1 m/s}\nsegments: [{drive: {to: end}}, {drive: {to: back}}, {drive: {to: top}}]\n"
+    )
+    ahead = LINEAR.replace("kw*abs(w) + ", "")
+    energy = []
+    for text in (with_formula(LINEAR, LOST % 1), with_formula(f"max({ahead}, 0) + kw*abs(w)")):
+        slow = text.replace("max_speed: 2 m/s", "max_speed: 2 m/s, max_acceleration: 0.5 m/s^2")
+        (tmp_path / "robot.yaml").write_text(slow)
+        energy.append(simulate(load_mission(tmp_path / "mission.yaml")).batteries["robot"].energy_wh)
+    assert energy[0] == pytest.approx(energy[1], rel=1e-9)
+
+
+def test_a_base_that_takes_all_as_given_back_is_told_from_heat_in_the_windings() -> None:
+    """Fitted to a drive that gives nothing back its slopes are half-way between: climbing and copper loss were called
+    sure in its place."""
+    logs = [stop_and_go(seed, 0.6) for seed in range(4)]
+    base = "c2*v**2 + c3*v + ka*m*a*v + kg*m*v*sin(theta) + c4"
+    own = robot_from_text(calibrate_new(NewRobot("own", base, mass="30 kg"), logs).text)
+    (first, *_) = examine(Subject.of(own), Split(tuple(logs), (), ""), "robot", Settings()).found.effects
+    assert first.effect == "lost_recuperation"
+    assert first.parameters["k"].low < 0.4 < first.parameters["k"].high
+    # a base that knows neither acceleration nor slope takes nothing as given back
+    assert not any(c.effect == "lost_recuperation" for c in features(*logs).candidates)
 
 
 def test_losses_of_resistance_and_of_conversion_differ_where_the_voltage_sags() -> None:
