@@ -203,12 +203,14 @@ def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: O
         write_text(out, found.text)
     columns = {name: fields_of(guess, "role field unit sure why") for name, guess in found.columns.items()}
     made = {"map": found.text, "columns": columns, "missing": list(found.missing)}
-    to.emit({"schema": "missionsim.suggestion/1", **made})
+    to.emit({"schema": "missionsim.suggestion/1", **made, "remarks": list(found.remarks)})
     if to.text and out is None:
         sys.stdout.write(visible(found.text))
     elif to.text:
         for name, guess in found.columns.items():
             print(visible(f"{name:22} {guess.sure:8} {guess.why}"))
+        for line in found.remarks:
+            print(visible(line))
         to.written(out)
     for line in found.missing:
         print(visible(line), file=sys.stderr)

@@ -15,6 +15,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_motion, suggest_power
 from missionsim.importer.mapping import recognised_runs
+from missionsim.importer.robots import of_one_robot
 from missionsim.importer.roles import ROLES, UNITS, Field, Guess, fields_of, guess_all, guess_role
 from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted
@@ -36,6 +37,8 @@ class Suggestion:
     """Column of the log → the guess behind it."""
     missing: tuple[str, ...]
     """What was not found and has to be filled in before the map can be used."""
+    remarks: tuple[str, ...] = ()
+    """What else was seen."""
 
 
 @dataclass
@@ -117,6 +120,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
         _text(draft, joined or [paths[0]], used),
         {name: guess for name, (_, guess) in draft.columns.items()},
         tuple(draft.missing),
+        tuple(draft.remarks),
     )
 
 
@@ -130,6 +134,9 @@ def _single(path: Path) -> Draft:
         if raw.headless:
             draft.head["table"] = f"{{header: [{', '.join(raw.names)}]}}"
             suggest_power.name_headless(draft)
+    else:
+        draft.fields, told = of_one_robot(draft.fields)
+        draft.remarks += [told] if told else []
     return draft
 
 

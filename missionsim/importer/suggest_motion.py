@@ -21,9 +21,13 @@ if TYPE_CHECKING:
 
 def suggest(draft: Draft) -> None:
     """Add the columns of motion to a draft, as far as they are seen."""
+    dead = _leave_out_dead_twists(draft)
     speed = _speed(draft)
     _plain(draft, "yaw_rate", "x", "y", "slope")
     _attitude(draft, speed)
+    if dead and "yaw_rate_rad_s" not in draft.columns and "heading_rad" in draft.columns:
+        guess = replace(draft.columns["heading_rad"][1], role="yaw_rate", why="rate of the heading")
+        draft.columns["yaw_rate_rad_s"] = ("{differentiate: heading_rad, average: 1 s}", guess)
     for guess in draft.best("elevation", 0.5)[:1] if "slope_rad" not in draft.columns and speed else ():
         heights = draft.values(guess.field, guess.unit)
         if not np.ptp(heights[np.isfinite(heights)]):
@@ -42,6 +46,9 @@ def suggest(draft: Draft) -> None:
     if not speed:
         draft.remarks.append("no speed was found: only what stands still can be explained without one")
 
+
+_MOVED_M = 0.5
+"""A pose that reaches farther has moved."""
 
 _COLUMN = {role: name for name, role in WORDS["columns"].items()}
 """Role → column of the log."""
@@ -88,9 +95,30 @@ def _speed(draft: Draft) -> str:
         draft.column("speed_m_s", _moving(draft, guess.field, "v"), guess)
     elif draft.best("left", 0.5) and draft.best("right", 0.5):
         _wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
-    elif draft.direct:
+    else:
         _from_way(draft)
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
+
+
+_TWIST = ".twist.twist.linear.x"
+
+
+def _leave_out_dead_twists(draft: Draft) -> bool:
+    """Leave out the speeds of an odometry whose pose moves while they stay nought; told."""
+    found = False
+    for name in [name for name in draft.fields if name.endswith(_TWIST)]:
+        topic = name.removesuffix(_TWIST)
+        place = [f"{topic}.pose.pose.position.{axis}" for axis in "xy"]
+        time_s = draft.fields[name].time_s
+        if not set(place) <= draft.fields.keys() or time_s is None:
+            continue
+        x, y = (float(np.ptp(draft.values(axis))) for axis in place)
+        driven = float(np.trapezoid(np.abs(draft.values(name)), time_s))
+        if (reach := float(np.hypot(x, y))) > max(_MOVED_M, 20.0 * driven):
+            draft.remarks.append(f"the twist of {topic} stays nought while its pose moves by {reach:.3g} m: not taken")
+            draft.fields = {one: kept for one, kept in draft.fields.items() if not one.startswith(f"{topic}.twist.")}
+            found = True
+    return found
 
 
 def _across(name: str) -> str:
@@ -135,21 +163,24 @@ def _stride(time_s: Array) -> int:
 def _path(draft: Draft) -> tuple[tuple[Guess, Guess], Array] | None:
     """Guesses for x and y, and the path so far [m], from positions a second apart; None where there are none."""
     x, y = draft.best("x", 0.5), draft.best("y", 0.5)
-    if not x or not y or draft.time_s is None:
+    time_s = draft.time_s if draft.direct or not x else draft.fields[x[0].field].time_s
+    if not x or not y or time_s is None:
         return None
     px, py = draft.values(x[0].field, x[0].unit), draft.values(y[0].field, y[0].unit)
-    known = np.isfinite(px) & np.isfinite(py) & np.isfinite(draft.time_s)
-    t = draft.time_s[known]
+    if len(px) != len(py):
+        return None  # of two topics
+    known = np.isfinite(px) & np.isfinite(py) & np.isfinite(time_s)
+    t = time_s[known]
     if len(t) < 20 or (np.diff(t) < 0).any():
         return None
     stride = _stride(t)
     steps = np.hypot(np.diff(px[known][::stride]), np.diff(py[known][::stride]))
-    return (x[0], y[0]), np.interp(draft.time_s, t[::stride], np.r_[0.0, np.cumsum(steps)])
+    return (x[0], y[0]), np.interp(time_s, t[::stride], np.r_[0.0, np.cumsum(steps)])
 
 
 def _from_way(draft: Draft) -> None:
     """The speed as the rate of an odometer, or of positions; its sign is lost."""
-    for guess in draft.best("distance", 0.5):
+    for guess in draft.best("distance", 0.5) if draft.direct else ():
         values = draft.values(guess.field)
         if (np.diff(values[np.isfinite(values)]) >= 0).mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
             factor = UNITS[guess.unit][1] if guess.unit else 1.0
@@ -160,7 +191,7 @@ def _from_way(draft: Draft) -> None:
     if path := _path(draft):
         told = replace(path[0][0], unit="", sure="likely", why="rate of the positions, without its sign")
         for axis, guess in zip("xy", path[0], strict=True):
-            ref = draft.ref(guess.field, axis)
+            ref = _moving(draft, guess.field, axis)
             draft.columns[f"v{axis}_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
             draft.column(f"{axis}_m", ref, guess)
         draft.column("speed_m_s", "hypot(vx_m_s, vy_m_s)", told)
@@ -191,9 +222,8 @@ def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
 
 def _radius(draft: Draft, wheel: Array) -> float | None:
     """Metres of path for each radian (or metre) of the wheels, from positions; None where there are none."""
-    if (found := _path(draft)) is None:
+    if (found := _path(draft)) is None or draft.time_s is None:
         return None
-    assert draft.time_s is not None
     known = np.isfinite(found[1]) & np.isfinite(wheel)
     t, path, wheel = draft.time_s[known], found[1][known], np.abs(wheel[known])
     if len(t) < 50:

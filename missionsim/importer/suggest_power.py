@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.importer.roles import UNITS, Guess, words_of
 from missionsim.labels import Labels
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
 
 _PART = r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b"
 _ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
+_WHOLE, _NO_CURRENT = (
+    r"\b(battery|batt?|bus|pack|system|total|robot|main|input)\b",
+    r"\b(limit|max|min|target|set ?point)\b",
+)
+"""A meter of all that a battery feeds; what is called a current and is none."""
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
 
@@ -32,7 +38,7 @@ def suggest(draft: Draft) -> None:
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
-    elif pair is not None:
+    elif pair is not None and (re.search(_WHOLE, words_of(pair[1].field)[0]) or not _drivers(draft)):
         sources = _from_pair(draft, *pair)
     else:
         sources = _from_drivers(draft) or _from_energy(draft)
@@ -55,13 +61,31 @@ def suggest(draft: Draft) -> None:
         )
 
 
+_AMPERES_A_VOLT = 4.0
+"""No battery delivers more for each volt that it has (assumed)."""
+
+
+def _too_much(draft: Draft, watts: NDArray[np.float64]) -> str:
+    """Why a power without a unit is in milliwatts: by the voltage of the battery, wherever it stands."""
+    volts = next((v for v in draft.best("voltage", 0.7) if np.isfinite(draft.values(v.field)).any()), None)
+    if volts is None or not np.isfinite(watts).any():
+        return ""
+    level = float(np.nanmedian(draft.values(volts.field, volts.unit)))
+    amperes = float(np.nanquantile(np.abs(watts), 0.95)) / max(level, 1e-9)
+    return (
+        f"mW, as {amperes:.4g} A at {level:.3g} V would be too much"
+        if amperes > max(60.0, _AMPERES_A_VOLT * level)
+        else ""
+    )
+
+
 def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:
-    """A current without a unit that no battery of its voltage delivers is in milliamperes (assumed: 4 A a volt)."""
+    """A current without a unit that no battery of its voltage delivers is in milliamperes."""
     values, level = draft.values(amps.field), float(np.nanmedian(draft.values(volts.field, volts.unit)))
     large = float(np.nanquantile(np.abs(values), 0.95)) if np.isfinite(values).any() else 0.0
     if re.fullmatch(r"(.*\.)?current_battery", amps.field) and (values == np.round(values)).mean() > 0.99:
         return replace(amps, unit="cA", sure="likely", why=f"{amps.why}; 10 mA, as MAVLink counts it")
-    if amps.unit or "unit" in amps.why or amps.score >= 3.0 or not large > max(60.0, 4.0 * level):
+    if amps.unit or "unit" in amps.why or amps.score >= 3.0 or not large > max(60.0, _AMPERES_A_VOLT * level):
         return amps
     return replace(
         amps, unit="mA", sure="likely", why=f"{amps.why}; mA, as {large:.4g} A at {level:.3g} V would be too much"
@@ -79,15 +103,30 @@ def _counts(draft: Draft, guess: Guess) -> bool:
 
 
 def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
-    """Whether two fields come in the same rows: columns of a table, or fields of one topic or file."""
-    return draft.direct or one.field.rpartition(".")[0] == other.field.rpartition(".")[0]
+    """Whether two fields are of one meter: columns of a table, fields of a topic or file, or topics of one number each
+    beneath the same name (``/ina219/current``, ``/ina219/bus_voltage``)."""
+    both = [guess.field.rpartition(".") for guess in (one, other)]
+    if draft.direct or both[0][0] == both[1][0]:
+        return True
+    parents = [topic.rpartition("/")[0] for topic, _, field in both if field == "data"]
+    return len(parents) == 2 and parents[0] == parents[1] != ""
+
+
+def _at(draft: Draft, guess: Guess, other: Guess) -> NDArray[np.float64]:
+    """Values of a field at the times of another one, NaN where it has none."""
+    values, field, at = draft.values(guess.field, guess.unit), draft.fields[guess.field], draft.fields[other.field]
+    if field.time_s is None or at.time_s is None or np.array_equal(field.time_s, at.time_s):
+        return values
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(len(at.time_s), np.nan)
+    return np.asarray(np.interp(at.time_s, field.time_s[known], values[known], left=np.nan, right=np.nan))
 
 
 def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) -> list[str]:
     watts = draft.values(guess.field, guess.unit)
     if pair is not None and _beside(draft, guess, pair[0]):
-        volts, amps = (draft.values(one.field, one.unit) for one in pair)
-        product = volts * amps
+        product = _at(draft, pair[0], guess) * _at(draft, pair[1], guess)
         known = np.isfinite(watts) & np.isfinite(product) & (np.abs(product) > 0.02 * np.nanmax(np.abs(product)))
         ratio = float(np.median(watts[known] / product[known])) if known.any() else np.nan
         if 0.85 < abs(ratio) < 1.18:
@@ -102,6 +141,9 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
             sources = _from_pair(draft, *pair)
             draft.remarks.append(f"'{guess.field}' is {ratio:.3g} times voltage × current, so it was not taken")
             return sources
+    elif not guess.unit and "unit" not in guess.why and (told := _too_much(draft, watts)):
+        guess = replace(guess, unit="mW", sure="likely", why=f"{guess.why}; {told}")
+        watts = watts * 1e-3
     if pair is None and any(re.search(r"\b(cadence|heart)\b", words_of(name)[0]) for name in draft.fields):
         guess = replace(guess, sure="a guess", why=f"{guess.why}; perhaps a rider's, who has a cadence")
     sign = "-" if np.nanmean(watts) < 0 else ""
@@ -127,7 +169,7 @@ def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
 
 def _sign(draft: Draft, volts: Guess, amps: Guess) -> tuple[str, str]:
     """Sign of a current: what discharges is positive in a log; a battery's voltage falls while it delivers."""
-    v, i = draft.values(volts.field, volts.unit), draft.values(amps.field, amps.unit)
+    v, i = _at(draft, volts, amps), draft.values(amps.field, amps.unit)
     known = np.isfinite(v) & np.isfinite(i)
     mean = float(np.mean(i[known])) if known.any() else 0.0
     with np.errstate(invalid="ignore"):
@@ -143,8 +185,8 @@ def _sign(draft: Draft, volts: Guess, amps: Guess) -> tuple[str, str]:
     return "-", "?its mean is positive, but the voltage rises with it: charged on average?"
 
 
-def _from_drivers(draft: Draft) -> list[str]:
-    """Power of several motor drivers, of the voltage and the current of each; their names differ in the side alone."""
+def _named(draft: Draft) -> dict[str, list[str]]:
+    """Every voltage and every current, whatever of."""
     named: dict[str, list[str]] = {"voltage": [], "current": []}
     for name, one in draft.fields.items():
         words, unit = words_of(name)
@@ -153,6 +195,12 @@ def _from_drivers(draft: Draft) -> list[str]:
         for kind, letters in (("voltage", r"volt(age|s)?"), ("current", r"current|amps?")):
             if re.search(rf"\b({letters})\b", words) or (unit and UNITS[unit][0] == kind):
                 named[kind].append(name)
+    return named
+
+
+def _drivers(draft: Draft) -> list[tuple[str, str]]:
+    """Voltage and current of each of several motor drivers; their names differ in the side alone."""
+    named = _named(draft)
     pairs = [
         (v, i)
         for v in named["voltage"]
@@ -165,14 +213,31 @@ def _from_drivers(draft: Draft) -> list[str]:
         for side in sides
         if all(any(s in pair[0].lower() for pair in pairs) for s in sides)
     ]
-    drivers = list(dict.fromkeys(pair for group in sided[:2] for pair in group))
+    return list(dict.fromkeys(pair for group in sided[:2] for pair in group))
+
+
+def _rest(draft: Draft, drivers: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """The battery's voltage and each further current of the drivers' message, that of a computer or of ports."""
+    topic = drivers[0][0].rpartition(".")[0]
+    inside = {kind: [n for n in names if n.rpartition(".")[0] == topic] for kind, names in _named(draft).items()}
+    volts = next((name for name in inside["voltage"] if re.search(_WHOLE, words_of(name)[0])), "")
+    taken = {current for _, current in drivers}
+    more = [i for i in inside["current"] if i not in taken and not re.search(_NO_CURRENT, words_of(i)[0])]
+    return [(volts, i) for i in more if volts and np.nanmean(draft.values(i)) > 0]
+
+
+def _from_drivers(draft: Draft) -> list[str]:
+    """Power of several motor drivers, and of what else their message has a current of."""
+    drivers = _drivers(draft)
     if not drivers:
         return []
+    rest = _rest(draft, drivers)
     terms = [
         f"{draft.ref(volts, f'volts_{index}')} * {draft.ref(amps, f'amps_{index}')}"
-        for index, (volts, amps) in enumerate(drivers)
+        for index, (volts, amps) in enumerate([*drivers, *rest])
     ]
-    why = "the sum of the drivers; what the battery feeds beside them is not in it"
+    others = "".join(f" and {amps.rpartition('.')[2]}" for _, amps in rest)
+    why = f"the sum of the drivers{others}; what the battery feeds beside them is not in it"
     draft.column("power_robot_w", " + ".join(terms), Guess("power", drivers[0][0], "", 1.0, why, "likely"))
     # zero for a while: the topic was not up yet
     levels = [(volts, draft.values(volts)) for volts, _ in drivers]

@@ -90,6 +90,10 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None, power_w: Mapping[s
             rows.remark("unit", name, told, _LEFT)
 
 
+_REACH_M = 2.0
+"""Positions that reach less far may be noise."""
+
+
 def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
     """Compare what is said twice: power, V·I, energy; speed, path, acceleration; heading, yaw rate."""
     number = {name: data[:_SAMPLE] for name, data in rows.columns.items() if not isinstance(data, Labels)}
@@ -120,7 +124,18 @@ def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
             rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
     if speed is not None and {"x_m", "y_m"} <= number.keys():
         path = float(np.hypot(np.diff(number["x_m"][::second]), np.diff(number["y_m"][::second])).sum())
-        _ratio(rows, "speed_m_s", "the path of x_m, y_m", float(np.trapezoid(np.abs(speed), time)), path, loose=True)
+        driven = float(np.trapezoid(np.abs(speed), time))
+        _ratio(rows, "speed_m_s", "the path of x_m, y_m", driven, path, loose=True)
+        # no path is shorter than where it leads to; the quantiles leave out single fixes far away
+        x, y = (np.quantile(number[axis], (0.05, 0.95)) for axis in ("x_m", "y_m"))
+        reach = float(np.hypot(x[1] - x[0], y[1] - y[0]))
+        if driven < 0.5 * reach > _REACH_M and not any(
+            r.kind == "unit" and r.column == "speed_m_s" for r in rows.remarks
+        ):
+            told = (
+                f"{driven:.3g} m were driven by it, while x_m, y_m reach {reach:.3g} m: a speed that nobody fills in?"
+            )
+            rows.remark("disagreement", "speed_m_s", told, "left as it is; a map can take the rate of the positions")
     yaw, heading = number.get("yaw_rate_rad_s"), number.get("heading_rad")
     if yaw is not None and heading is not None:
         full = 360.0 if float(np.ptp(heading)) > 4 * np.pi and float(np.abs(heading).max()) <= 360.0 else 2 * np.pi
