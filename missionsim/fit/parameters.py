@@ -153,7 +153,8 @@ SETTLING_ROUNDS = 30
 def settled(model: PowerModel, ready: Prepared, logs: Sequence[Run]) -> tuple[PowerModel, Prepared]:
     """Ordinary least squares repeated until a formula that is not linear settles.
 
-    Each step is halved until the squared error does not rise; a linear formula takes the whole step.
+    Each step is halved until the squared error does not rise and every parameter still acts, which ends beyond the bend
+    of a ``max``: a parameter that acts no more never comes back. A linear formula takes the whole step.
     """
     battery = ready.battery
     for _ in range(SETTLING_ROUNDS):
@@ -165,7 +166,8 @@ def settled(model: PowerModel, ready: Prepared, logs: Sequence[Run]) -> tuple[Po
             trial = model.with_values({f"{battery}/{n}": start[n] + part * (goal[n] - start[n]) for n in start})
             with np.errstate(all="ignore"):
                 after = prepare(trial, logs, battery)
-                if _square(after) <= before * (1.0 + 1e-9):
+                acts = set(acting(ready.gradients)) <= set(acting(after.gradients))
+                if acts and _square(after) <= before * (1.0 + 1e-9):
                     model, ready = trial, after
                     break
         moved = (abs(ready.parameters[n].value - v) / max(abs(v), 1e-300) for n, v in start.items())

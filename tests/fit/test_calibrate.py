@@ -11,9 +11,10 @@ import yaml
 
 import missionsim
 from missionsim.cli.app import run_command
+from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.runs import run as run_module
-from tests.diagnose.logs import drive
+from tests.diagnose.logs import drawing, drive
 
 BASE = "c2*v**2 + c3*v + c4"
 
@@ -93,3 +94,18 @@ def test_so_do_batteries_components_and_parameters(tmp_path: Path, monkeypatch: 
     assert list(robot.batteries) == [name]
     assert list(robot.components) == [name]
     assert {"y", "off"} <= set(robot.motion.parameters)
+
+
+def test_a_parameter_within_a_maximum_is_found_though_the_first_step_goes_beyond_its_bend() -> None:
+    """There it acts no more, and was called one that these logs cannot tell from the others."""
+    rng, logs = np.random.default_rng(3), []
+    for seed in range(3):
+        log = drive(seed, seconds=300.0, noise=0.002)
+        speed, slope = np.asarray(log.number("speed_m_s")), np.repeat(rng.uniform(-0.08, 0.08, 30), 10)
+        accel = np.gradient(speed)
+        ahead = 1.6 * 30.0 * np.maximum(accel + 9.81 * np.sin(slope) + 9.81 * 0.04, 0.0) * speed
+        logs.append(drawing(log, 20.0 + ahead + rng.normal(0.0, 0.1, 300), slope_rad=slope, accel_m_s2=accel))
+    base = "k*m*max(a*v + 9.81*v*sin(theta) + 9.81*cr*v, 0) + c0"
+    found = calibrate_new(NewRobot("own", base, mass="30 kg"), logs).fit.parameters
+    assert found["k"].value == pytest.approx(1.6, rel=0.03)
+    assert found["cr"].value == pytest.approx(0.04, rel=0.05)
