@@ -179,7 +179,7 @@ def _list(sources: Sequence[Path], to: Output) -> int:
             for field in shown
         ]
         show_table(f"{path}: what a map can read", ["column or field", ">values", "range", "perhaps"], rows)
-        for why in ("constant", "stamp or covariance", "empty"):
+        for why in ("constant", "stamp or covariance", "empty", "of a type that is not defined in it"):
             hidden = [field for field in fields if folded(field) == why]
             names = ", ".join(f"{f.name} = {f.range()}" if why == "constant" else f.name for f in hidden[:12])
             if hidden:

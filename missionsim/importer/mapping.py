@@ -6,6 +6,7 @@ import functools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,7 @@ def import_source(
     given = [source] if isinstance(source, (str, os.PathLike)) else list(source)
     logs: list[Run] = []
     faults: list[Fault] = []
+    omitted: list[Fault] = []
     for one in find_sources([Path(path) for path in given], spec):
         try:
             raw = read_source(one, spec)
@@ -154,10 +156,11 @@ def import_source(
             if left_out is None:
                 raise
             faults += error.faults
+            omitted += [_of_source(fault, one.path, spec) for fault in error.faults]
     if faults and not logs:
         raise InputError(faults)
     if left_out is not None:
-        left_out += faults
+        left_out += omitted
     if not logs:
         split = spec.keep or spec.runs.by
         message = (
@@ -165,6 +168,13 @@ def import_source(
         )
         raise InputError.single(message, file=str(given[0]))
     return logs
+
+
+def _of_source(fault: Fault, source: Path, spec: MapSpec) -> Fault:
+    """A fault of the map as one of the file that does not fit it: it is the file that is left out."""
+    if fault.file != str(spec.path):
+        return fault
+    return replace(fault, file=str(source), line=0, column=0, message=f"{fault.message} ({spec.path}:{fault.line})")
 
 
 class NotByBlocks(Exception):

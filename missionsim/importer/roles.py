@@ -161,7 +161,7 @@ def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> l
         return [Field(name, len(data), data) for name, data in columns.items()]
     assert reader.recording is not None
     topics = sorted(reader.recording(path, Options(most=most)).topics, key=lambda topic: topic.name)
-    return [
+    return [Field(f"{one.name} ({one.title})", one.count, np.empty(0)) for one in topics if not one.columns] + [
         Field(f"{one.name}.{name}", one.count or len(data), data, one.time_s, one.title)
         for one in topics
         for name, data in one.columns.items()
@@ -216,9 +216,11 @@ class Guess:
 
 
 def folded(field: Field) -> str | None:
-    """Why a listing need not show a field: ``constant``, ``stamp or covariance``, ``empty``; None where it should."""
+    """Why a listing need not show a field, such as ``constant`` or ``empty``; None where it should."""
     if re.search(r"covariance|header\.(stamp|seq)|\.name\[\d+\]$", field.name):
         return "stamp or covariance"
+    if not len(field.values) and field.count:
+        return "of a type that is not defined in it"
     if isinstance(field.values, Labels):
         used = np.unique(field.values.codes)
         return "empty" if (used < 0).all() else "constant" if len(used) == 1 and len(field.values) > 1 else None
@@ -260,7 +262,7 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     named = re.search(role.words, tail) is not None or (words == "" and dimension == role.dimension != "")
     if role.name == "time":
         return _as_time(field, words, unit, named)
-    if text != (role.dimension == "text") or folded(field) in ("empty", "stamp or covariance"):
+    if text != (role.dimension == "text") or folded(field) not in (None, "constant"):
         return None
     if text:
         return Guess(role.name, field.name, "", 1.0, f"'{field.name}' holds words", "likely") if named else None

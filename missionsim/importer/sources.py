@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from fnmatch import translate
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _DAY_S = 86400.0
+_NEAREST = 6
+"""Names that a message offers for one that is not there."""
 
 
 @dataclass(frozen=True)
@@ -200,9 +203,18 @@ def _merged(topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader |
     faults: list[Fault] = []
     known: list[str] | None = None
     by_name = {f"{topic.name}.{column}": (topic, column) for topic in topics for column in topic.columns}
+    unknown = {topic.name: topic.title for topic in topics if not topic.columns}
     for alias, signal in spec.signals.items():
         field = signal.field.strip()
         full = field if field in by_name or field.startswith("/") else f"/{field}"
+        topic_name = full.partition(".")[0]
+        if topic_name in unknown:
+            if blank := unknown[topic_name]:  # told once
+                told = f"the bag does not define {blank}, the type of {topic_name}"
+                allowed = "a bag with the definitions of its messages, as MCAP recorders write it"
+                faults.append(spec.document.fault(("signals", alias), told, got=field, allowed=allowed))
+                unknown[topic_name] = ""
+            continue
         if full not in by_name:
             if known is None:
                 known = list(by_name) if reader is None else [found.name for found in fields_of(path, reader)]
@@ -328,7 +340,8 @@ def missing_field(
     """The fault of a signal that the source does not have."""
     names = list(known)
     numbered = [name for name in names if name.rpartition(" #")[0] == field.strip()]
-    allowed = ", ".join(names[:40]) + (f", … ({len(names)} in all)" if len(names) > 40 else "")
+    near = get_close_matches(field, names, _NEAREST, 0.3) if len(names) > 2 * _NEAREST else names
+    allowed = ", ".join(near) + (f", … ({len(names)} in all; import without --map lists them)" if near != names else "")
     message, hint = f"'{field}' is not in {file}", did_you_mean(field, names)
     if numbered:
         numbers = [f"'#{names.index(name) + 1}'" for name in numbered]

@@ -135,6 +135,10 @@ def _single(path: Path) -> Draft:
             draft.head["table"] = f"{{header: [{', '.join(raw.names)}]}}"
             suggest_power.name_headless(draft)
     else:
+        for name in [one.name for one in fields if not len(one.values) and one.count]:
+            topic, _, kind = name.rpartition(" ")
+            draft.remarks.append(f"the bag does not define {kind.strip('()')}, so {topic} cannot be read")
+            del draft.fields[name]
         draft.fields, told = of_one_robot(draft.fields)
         draft.remarks += [told] if told else []
     return draft

@@ -19,7 +19,7 @@ from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
 from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
-from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
+from missionsim.logs.readers import Options, is_recording, log_suffixes, not_there, table_reader
 from missionsim.logs.refresh import of_one_meter
 from missionsim.logs.times import TimeAxis
 from missionsim.numerals import counted
@@ -141,7 +141,11 @@ def distinct_logs(paths: Iterable[PathLike] | PathLike) -> dict[Path, list[Path]
             )
             if not inside:
                 allowed = "files named " + ", ".join(f"*{suffix}" for suffix in log_suffixes())
-                faults.append(Fault(str(item), 0, 0, "the folder holds no log", allowed=allowed))
+                told, hint = "the folder holds no log", ""
+                if any(is_recording(path) for path in (*item.iterdir(), *item.glob("*/*"))):
+                    told = "the folder holds recordings, no logs"
+                    hint = f"missionsim import {item} --suggest --out MAP.yaml; then --map MAP.yaml --out LOGS"
+                faults.append(Fault(str(item), 0, 0, told, allowed=allowed, hint=hint))
             files.update(dict.fromkeys(inside))
         elif item.exists():
             files[item] = None

@@ -49,7 +49,7 @@ class Topic:
     time_s: Array
     """[s], in the clock of the recording. Shape (n,)."""
     columns: dict[str, ColumnData]
-    """Field → values, shape (n,)."""
+    """Field → values, shape (n,); none where the file does not define the type of the messages."""
     title: str = ""
     """Type of the messages."""
     count: int = 0

@@ -155,3 +155,68 @@ def test_headers_with_the_time_of_day_beside_simulated_ones(tmp_path: Path) -> N
     text = MAP.replace("/power.data", "/battery.voltage")
     log = imported(tmp_path, bag.write(tmp_path / "run"), text)
     assert log.duration_s == pytest.approx(240.0, rel=0.02)
+
+
+# what cannot be read
+
+
+def without_definition(path: Path) -> Path:
+    """A lone MCAP whose recorder did not know the type of /status."""
+    from mcap.writer import Writer
+
+    bag = Bag(husky_msgs__HuskyStatus="float64 battery_voltage\nfloat64 current")
+    for i in range(50):
+        bag.odometry("/odom", 0.1 * i, 0.5)
+        bag.put("/status", 0.1 * i, "husky_msgs/HuskyStatus", battery_voltage=24.0)
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        channels = {}
+        for topic, kind in bag.kinds.items():
+            text = "" if topic == "/status" else bag.store.generate_msgdef(kind, ros_version=2)[0]
+            schema = writer.register_schema(kind, "ros2msg" if text else "", text.encode())
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for received, topic, data in bag.messages:
+            writer.add_message(channels[topic], received, data, received)
+        writer.finish()
+    return path
+
+
+def test_a_type_that_the_bag_does_not_define_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = without_definition(tmp_path / "run.mcap")
+    assert main(["import", str(path)]) == 0
+    assert "of a type that is not defined in it: /status (husky_msgs/msg/HuskyStatus)" in capsys.readouterr().out
+    assert main(["import", str(path), "--suggest"]) == 1
+    assert "the bag does not define husky_msgs/msg/HuskyStatus" in capsys.readouterr().out
+    text = "kind: map\nsignals: {u: /status.battery_voltage, v: /odom.twist.twist.linear.x}\n"
+    assert command(tmp_path, path, text + "columns: {time_s: time_s, power_robot_w: u, speed_m_s: v}\n") == 2
+    told = capsys.readouterr().err
+    assert "does not define husky_msgs/msg/HuskyStatus, the type of /status" in told
+
+
+def test_the_bag_that_was_left_out_is_named_and_what_it_has_is_short(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "kind: map\nsignals: {u: /battery.voltage, c: /battery.current}\n"
+    text += "columns: {time_s: time_s, voltage_robot_v: u, current_robot_a: c}\n"
+    for name in ("a", "b", "c"):
+        write_bag(tmp_path / "in" / name, "mcap", 5.0, batteries=("/batterie",) if name == "b" else ("/battery",))
+    assert command(tmp_path, tmp_path / "in", text) == 1
+    said = capsys.readouterr()
+    assert f"left out: {tmp_path / 'in' / 'b'} (1 of 3 files)" in said.out.replace("\n", "")
+    told = [line for line in said.err.splitlines() if "allowed" in line]
+    assert len(told) == 2
+    assert all("/batterie." in line and len(line) < 300 for line in told)
+    assert "m.yaml:2" in said.err
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_folder_of_bags_is_no_folder_of_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str], whole: bool) -> None:
+    bag = write_bag(tmp_path / "in" / "a", "mcap", 5.0)
+    if not whole:
+        (bag / "metadata.yaml").unlink()
+    assert main(["compare", "--robot", "pioneer3dx", str(tmp_path / "in")]) == 2
+    told = capsys.readouterr().err
+    assert "the folder holds recordings, no logs" in told
+    assert f"missionsim import {tmp_path / 'in'} --suggest" in told

@@ -67,6 +67,13 @@ def read_bag(path: Path, options: Options) -> Recording:
         if clock and wanted is not None and options.clock == "header":
             wanted[clock] = wanted.get(clock, {}) | {name: _getter(name) for name in CLOCK_FIELDS}
         infos = {topic: info for topic, info in reader.topics.items() if wanted is None or topic in wanted}
+        # a topic without fields stands for one of a type that the bag does not define
+        blank = [
+            Topic(topic, np.empty(0), {}, info.msgtype, info.msgcount)
+            for topic, info in infos.items()
+            if info.msgtype is not None and info.msgtype not in reader.typestore.fielddefs
+        ]
+        infos = {topic: info for topic, info in infos.items() if topic not in {one.name for one in blank}}
         connections = [c for c in reader.connections if c.topic in infos]
         seen = dict.fromkeys(infos, 0)
         types = reader.typestore.fielddefs
@@ -124,7 +131,7 @@ def read_bag(path: Path, options: Options) -> Recording:
     stamps = {name: (topic.stamps, topic.received) for name, topic in held.items()}
     times, start_s = common_times(stamps, options.clock, simulated and (clock, *simulated), remarks)
     topics = [Topic(name, times[name], topic.columns(), topic.title, topic.count) for name, topic in held.items()]
-    return Recording(topics, remarks, start_s)
+    return Recording([*topics, *blank], remarks, start_s)
 
 
 def _simulated_time(held: Held) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
