@@ -169,6 +169,8 @@ def test_half_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: st
     for data in (None, b"", whole[: len(whole) // 2]):
         if data is None and part == "metadata":
             continue  # a folder with a lone file of messages is read as such
+        if data and kind == "sqlite3" and part == "messages":
+            continue  # what is whole of it is read: test_own_bags.py
         path.unlink() if data is None else path.write_bytes(data)
         for more in ([], ["--strict"]):
             assert run_command(["import", str(bag), "--map", str(tmp_path / "m.yaml"), "--out", str(out), *more]) == 2

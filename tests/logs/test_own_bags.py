@@ -13,10 +13,10 @@ from missionsim.cli.app import run_command as main
 from missionsim.importer import transform
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map
-from missionsim.logs import LogTable
+from missionsim.logs import LogTable, read_logs
 from missionsim.logs.readers import Options, reader_of
 from tests.logs.bag_messages import Bag
-from tests.logs.bag_writers import START_S, write_bag
+from tests.logs.bag_writers import START_S, speed, write_bag
 
 MAP = """\
 kind: map
@@ -220,3 +220,70 @@ def test_a_folder_of_bags_is_no_folder_of_logs(tmp_path: Path, capsys: pytest.Ca
     told = capsys.readouterr().err
     assert "the folder holds recordings, no logs" in told
     assert f"missionsim import {tmp_path / 'in'} --suggest" in told
+
+
+# recordings that broke off
+
+
+def broken_off(tmp_path: Path, kind: str) -> Path:
+    """A recording of 300 s of which the last part is not there."""
+    bag = Bag(ros1=kind.startswith("ros1"))
+    for i in range(6000):
+        t = 0.05 * i
+        bag.odometry("/odom", t, speed(t), x=0.1)
+        if i % 4 == 0:
+            bag.number("/power", t, 20.0)
+    if kind.startswith("ros1"):
+        path = bag.write(tmp_path / "run.bag")
+        whole = path.read_bytes()
+        if kind == "ros1":
+            path.write_bytes(whole[: int(0.8 * len(whole))])
+            return path
+        # as a recorder leaves it that was killed: no index, and none announced
+        at = whole.index(b"index_pos=") + len("index_pos=")
+        index = int.from_bytes(whole[at : at + 8], "little")
+        active = tmp_path / "run.bag.active"
+        active.write_bytes(whole[:at] + bytes(8) + whole[at + 8 : index])
+        return active
+    folder = bag.write(tmp_path / "run", kind)
+    path = next(p for p in folder.iterdir() if p.suffix != ".yaml")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(0.8 * len(whole))])
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1", "ros1_active"])
+def test_what_is_whole_of_a_recording_that_broke_off_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    path = broken_off(tmp_path, kind)
+    assert command(tmp_path, path) == 1
+    assert "was never closed, or is cut" in capsys.readouterr().out.replace("\n", " ")
+    log = read_logs(tmp_path / "out")[0]
+    assert log.duration_s > (290 if kind == "ros1_active" else 150)
+    np.testing.assert_allclose(log.number("speed_m_s"), speed(log.time_s), atol=0.02)
+    given = ["import", str(path), "--map", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "strict"), "--strict"]
+    assert main(given) == 2
+
+
+def test_a_recording_of_which_nothing_is_whole_says_what_may_help(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = next(write_bag(tmp_path / "run", "mcap", 3.0).glob("*.mcap"))
+    path.write_bytes(path.read_bytes()[:3000])
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    assert command(tmp_path, path) == 2
+    told = capsys.readouterr().err
+    assert "the bag cannot be read: it was never closed, or is cut" in told
+    assert "mcap recover" in told
+
+
+def test_a_part_of_a_split_bag_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = write_bag(tmp_path / "run", "mcap", 20.0)
+    (there,) = (path.name for path in bag.glob("*.mcap"))
+    told = (bag / "metadata.yaml").read_text()
+    assert f"- {there}" in told
+    (bag / "metadata.yaml").write_text(told.replace(f"- {there}", f"- {there}\n  - run_1.mcap"))
+    text = "kind: map\nsignals: {p: /battery.voltage}\ncolumns: {time_s: time_s, power_robot_w: p}\n"
+    assert command(tmp_path, bag, text) == 1
+    assert "run_1.mcap is missing" in capsys.readouterr().out

@@ -17,6 +17,7 @@ from missionsim.files import first_line, needed, unreadable
 from missionsim.logs.formats.bag_times import CLOCK_FIELDS, CLOCK_TYPE, common_times
 from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
+from missionsim.logs.formats.salvage import whole_files
 from missionsim.logs.raw import Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 
@@ -31,19 +32,13 @@ _Get = Callable[[Any], Any]
 
 
 @contextlib.contextmanager
-def open_bag(path: Path) -> Iterator[AnyReader]:
-    """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder, or a file in it), or a lone MCAP file. Raises
-    InputError: rosbags is not installed, or it cannot read the bag."""
-    file = str(path)
+def _open(paths: list[Path], file: str) -> Iterator[AnyReader]:
+    """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder), or lone files of one. Raises InputError: rosbags is
+    not installed, or it cannot read the bag."""
     bags, types = needed("rosbags.highlevel", "reading bags", file), needed("rosbags.typesys", "reading bags", file)
-    if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
-        path = path.parent
     # bags of older ROS 2 carry no message definitions; the common types have not changed since
     common, allowed = types.get_typestore(types.Stores.ROS2_HUMBLE), "a whole ROS 1, ROS 2 or MCAP bag"
-    with (
-        unreadable("the bag cannot be read", file, allowed),
-        bags.AnyReader([path], default_typestore=common) as reader,
-    ):
+    with unreadable("the bag cannot be read", file, allowed), bags.AnyReader(paths, default_typestore=common) as reader:
         yield reader
 
 
@@ -54,12 +49,22 @@ def read_bag(path: Path, options: Options) -> Recording:
     value as ``/diagnostics[status name].key``, the state of a lifecycle node as ``/node/transition_event.state``;
     `most` messages of each topic; `clock`. Raises InputError: an unreadable bag.
     """
-    if path.suffix == ".mcap" and (recording := read_json_mcap(path, options)) is not None:
-        return recording
     remarks: list[Remark] = []
+    if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
+        path = path.parent
+    needed("rosbags.highlevel", "reading bags", str(path))
+    with whole_files(path, remarks) as files:
+        lone = files[0] if len(files) == 1 and files[0].suffix == ".mcap" else None
+        found = read_json_mcap(lone, options) if lone is not None else None
+        if found is not None:
+            found.remarks[:0] = remarks
+        return found or _read(files, str(path), options, remarks)
+
+
+def _read(files: list[Path], file: str, options: Options, remarks: list[Remark]) -> Recording:
     held: dict[str, Held] = {}
     broken: list[str] = []
-    with open_bag(path) as reader:
+    with _open(files, file) as reader:
         wanted = None if options.fields is None else _wanted(options.fields)
         asked = None if wanted is None else set(wanted)
         # simulated time puts messages without a header beside those with one
@@ -123,7 +128,7 @@ def read_bag(path: Path, options: Options) -> Recording:
         if parts:
             told = f"part of the bag is missing: {', '.join(parts)}"
             remarks.append(damaged(told, sum(lost.values()) + len(broken)))
-        if not remarks and path.suffix == ".mcap" and not _index_fits(path, found):
+        if not remarks and files[0].suffix == ".mcap" and not _index_fits(files[0], found):
             message = "the index at its end does not fit the file: bytes are missing or were put in"
             remarks.append(damaged(message))
     simulated = _simulated_time(held[clock]) if clock in held else None
@@ -253,7 +258,7 @@ def _names(kind: type) -> list[str]:
 
 
 READERS = (
-    Reader("rosbag1", "ROS 1 bag", (".bag",), (b"#ROSBAG",), recording=read_bag),
+    Reader("rosbag1", "ROS 1 bag", (".bag", ".active"), (b"#ROSBAG",), recording=read_bag),
     Reader("rosbag2", "ROS 2 bag", (".db3",), (b"SQLite format 3",), recording=read_bag, folder="metadata.yaml"),
     Reader("mcap", "MCAP file", (".mcap",), (b"\x89MCAP",), recording=read_bag, folder="metadata.yaml"),
 )
