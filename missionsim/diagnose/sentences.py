@@ -136,6 +136,11 @@ def _law_subject(formula: str, variables: Sequence[str]) -> str:
     return text[:1].upper() + text[1:]
 
 
+def _quantity(name: str, formula: str) -> str:
+    """A quantity of a law in words: itself, or its rate."""
+    return f"how fast {plain(name)} changes" if f"{name} - lag({name}, " in formula else plain(name)
+
+
 def _aspect(name: str, formula: str, beside: bool) -> str:
     levels = re.findall(rf"\({name} == '([^']*)'\)", formula)
     if name.startswith("temp"):
@@ -155,6 +160,8 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     if levels:
         word = f"on {levels[0]}" if name == "surface" else f"in {plain(name)} {levels[0]}"
         return word if beside else f"being {word}"
+    if (rate := _quantity(name, formula)) != plain(name):
+        return rate
     if name in ("time_s", "moving_time_s"):
         fades = "exp(-moving_time_s" in formula
         return ("at first" if fades else "the longer the run lasts") if beside else "the time since the start"
@@ -200,13 +207,14 @@ def sure(battery: BatteryDiagnosis) -> str:
     if not battery.proposed_laws:
         return ""
     one = battery.proposed_laws[0]
-    certain, possible = (_listed([*map(plain, names)]) for names in (one.certain, one.possible))
+    read = ([_quantity(name, one.first.formula) for name in names] for names in (one.certain, one.possible))
+    certain, possible = map(_listed, read)
     told = f"It depends on {certain}" if certain else "On what it depends is open"
     told += f", perhaps on {possible}" if possible else ""
     if one.goes_with:
         beside = _listed([*map(plain, one.goes_with)])
         told += f", or as well on {beside}, which hardly changes where it acts: drive one without the other"
-    form = "its form is an approximation within the band"
+    form = "its form is an approximation" + " within the band" * (one.curve is not None)
     if len(one.laws) > 1:
         behind = max(law.behind_nats for law in one.laws)
         part = math.ceil(100.0 * behind / max(one.rise_nats, 1e-300))

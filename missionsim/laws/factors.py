@@ -39,6 +39,8 @@ AROUND = np.radians(np.arange(0.0, 360.0, 15.0))
 TENTHS = np.linspace(0.1, 0.9, 9)
 EVENLY = 15
 """Thresholds between the lowest and the highest value that the runs hold."""
+RATE_S = 0.3
+"""Time over which a rate is taken, a few rows of most logs."""
 NOISE_PART = 0.1
 """A quantity that falls below zero by less than this part of its highest value is noise about zero."""
 SYMBOLS = {name: one.symbol for name, one in COVARIATES.items() if one.symbol} | {"time_s": "t"}
@@ -307,6 +309,10 @@ def _further(b: _Builder, name: str) -> None:
         b.add(name, f"abs({name})", f"|{name}|", 1)
     b.beyond(name, (middle,))
     b.beyond(name, (middle,), above=False)
+    # an actuator takes power while it moves, not where it stands: a steering, an arm, a mast, which lifts one way
+    rate = f"({name} - lag({name}, {RATE_S:g})) / {RATE_S:g}"
+    b.add(name, f"abs({rate})", f"|d{name}/dt|", 2, alone=True)
+    b.add(name, f"max({rate}, 0)", f"(d{name}/dt)₊", 2, alone=True)
     if name.endswith("_m_s") and b.has("speed_m_s"):  # a wind along the way: drag goes by the speed through the air
         for sign, shown in (("+", "+"), ("-", "−")):
             through = f"(abs(speed_m_s) {sign} {name})"

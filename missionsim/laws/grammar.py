@@ -198,8 +198,8 @@ class Grammar:
         return tuple(dict.fromkeys(name for names in read for name in sorted(names)))
 
     def memory(self, form: Sequence[int]) -> bool:
-        """Whether it reads what was before: a first-order lag."""
-        return any("lag(" in self.factors[i].text for i in form)
+        """Whether it reads what was before: a first-order lag. A rate is no memory."""
+        return any("lag(" in self.factors[i].text and not self.factors[i].alone for i in form)
 
 
 def unit_of(formula: str) -> str:

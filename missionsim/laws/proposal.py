@@ -198,7 +198,7 @@ def _propose(
     certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))
     possible = tuple(dict.fromkeys(v for law in laws for v in law.variables if v not in certain))
     more = [_law(one, near[0], fitted, relative, search) for one in beside]
-    curve = None if memory else _curve([*laws, *more], ground, relative)
+    curve = None if any("lag(" in law.formula for law in (*laws, *more)) else _curve([*laws, *more], ground, relative)
     made = Proposal(
         laws,
         certain,

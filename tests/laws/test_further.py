@@ -254,6 +254,31 @@ def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
 
 
 @pytest.mark.usefixtures("laws_at_once")
+@pytest.mark.parametrize("one_way", [False, True])
+def test_an_actuator_takes_power_while_it_moves(one_way: bool) -> None:
+    """A steering, and a mast that takes power on its way up: the angle itself says nothing of it, and turning was
+    blamed."""
+    rng, runs = np.random.default_rng(5), []
+    for number in range(4):
+        rows, time_s = 3000, 0.1 * np.arange(3000)
+        speed = np.repeat(rng.choice([0.0, 0.4, 0.8], 60), 50)
+        goal = np.repeat(rng.uniform(-0.4, 0.4, 100), 30)
+        angle = np.zeros(rows)
+        for i in range(1, rows):
+            angle[i] = angle[i - 1] + np.clip(goal[i] - angle[i - 1], -0.06, 0.06)
+        moves = np.gradient(angle, time_s)
+        costs = 50.0 * (np.maximum(moves, 0.0) if one_way else np.abs(moves))
+        gradient = {"c3": 40.0 * speed, "c4": 30.0 * (speed > 0), "standing": 25.0 * (speed == 0)}
+        columns = {"speed_m_s": speed, "mast_angle": angle}
+        runs.append(run_of(number, gradient, costs + 1.5 * rng.standard_normal(rows), step_s=0.1, **columns))
+    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
+    rate = "(mast_angle - lag(mast_angle, 0.3)) / 0.3"
+    assert made.first.formula == (f"k * max({rate}, 0)" if one_way else f"k * abs({rate})")
+    assert made.first.k == pytest.approx(50.0, rel=0.15)
+    assert made.curve is None
+
+
+@pytest.mark.usefixtures("laws_at_once")
 @pytest.mark.parametrize("uphill_alone", [True, False])
 def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) -> None:
     """A load that was carried uphill alone: the dearer climb was told as the slope's, without a word of the load."""
