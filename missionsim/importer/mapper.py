@@ -178,7 +178,7 @@ class Mapper(Checker):
             data = transform.moving_average(data, np.asarray(result["time_s"]), float(column.average))
         if column.travel is not None:
             (speed,) = self._numbers(name, [self.run(self.columns[name]["travel"], values, rows)])
-            data = np.where(speed < 0, -data, data)
+            data = np.where(transform.goes_back(speed), -data, data)
         return data
 
     def _stamps(self, column: ColumnMap, parts: list[ColumnData]) -> Array:

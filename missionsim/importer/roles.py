@@ -268,7 +268,9 @@ def guess_role(field: Field, role: Role) -> Guess | None:
         return Guess(role.name, field.name, "", 1.0, f"'{field.name}' holds words", "likely") if named else None
     own_dimension = dimension == role.dimension or (role.name in ("left", "right") and dimension == "yaw rate")
     short = bool(re.fullmatch(r"[a-z]", tail)) and own_dimension
-    if not (named or short) and not (own_dimension and role.name in ("power", "voltage", "current", "speed")):
+    if not (named or short or of_type) and not (
+        own_dimension and role.name in ("power", "voltage", "current", "speed")
+    ):
         return None
     if unit and not own_dimension and not (role.name == "slope" and unit == "%"):
         return None

@@ -84,7 +84,11 @@ def _speed(draft: Draft) -> str:
         )
         draft.remarks.append(f"'{found.pop(0).field}' {told}")
     north = next((name for name in draft.fields if re.search(r"vehicle_local_position(_\d+)?\.vx\Z", name)), None)
-    if north is None and found and _goes_sideways(draft, found[0]):
+    aside = north is None and bool(found) and _goes_sideways(draft, found[0])
+    if aside and draft.fields[found[0].field].title == "nav_msgs/msg/Odometry":  # in the robot's own frame
+        other = Guess("lateral_speed", _across(found[0].field), "", 1.0, "the speed to the left beside it", "likely")
+        draft.column("lateral_speed_m_s", _moving(draft, other.field, "v_left"), other)
+    elif aside:
         north = found[0].field
     if north is not None:
         refs = [_moving(draft, name, alias) for name, alias in ((north, "vx"), (_across(north), "vy"))]
@@ -252,7 +256,9 @@ def _attitude(draft: Draft, speed: str) -> None:
         x, y, z, w = (draft.values(found[axis]) for axis in "xyzw")
         slope = transform.attitude(x, y, z, w, "slope")
         known = slope[np.isfinite(slope)]
-        size = float(np.quantile(np.abs(known), 0.95)) if len(known) else 0.0
+        if not len(known):
+            continue  # four noughts: an IMU that does not know
+        size = float(np.quantile(np.abs(known), 0.95))
         rank = (1e-4 < size < 0.6, "imu" in prefix.lower() or "icp" in prefix.lower())
         if best is None or rank > best[0]:
             best = (rank, found, size)
@@ -275,7 +281,11 @@ def _attitude(draft: Draft, speed: str) -> None:
 
 def suggest_others(draft: Draft) -> None:
     """Temperatures, load, floor, and what else a model may depend on."""
-    _plain(draft, "temp_ambient", "temp_motor", "payload", "cpu_load", "cpu_freq", "surface", "scheme")
+    _plain(draft, "temp_ambient")
+    if "temp_ambient_c" in draft.columns and "the name" not in draft.columns["temp_ambient_c"][1].why:
+        formula, air = draft.columns["temp_ambient_c"]
+        draft.columns["temp_ambient_c"] = (formula, replace(air, sure="a guess", why=f"{air.why}; of the air?"))
+    _plain(draft, "temp_motor", "payload", "cpu_load", "cpu_freq", "surface", "scheme")
     weight = next((name for name in draft.fields if name.endswith("loads[0].weight")), None)
     if weight is not None:
         count = draft.ref(weight.replace("[0].weight", ".count"), "loads")

@@ -41,7 +41,7 @@ def suggest(draft: Draft) -> None:
     elif pair is not None and (re.search(_WHOLE, words_of(pair[1].field)[0]) or not _drivers(draft)):
         sources = _from_pair(draft, *pair)
     else:
-        sources = _from_drivers(draft) or _from_energy(draft)
+        sources = _from_drivers(draft) or _from_array(draft) or _from_energy(draft)
     if not sources:
         message = "no column looks like power, or voltage and current: write one in the place of POWER"
         gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
@@ -282,12 +282,10 @@ def _rows(draft: Draft, sources: list[str]) -> None:
         draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
 
 
-def name_headless(draft: Draft) -> None:
-    """Name the columns of a file without header: where one is the product of two others they are P, V and I."""
-    names = [name for name, one in draft.fields.items() if not isinstance(one.values, Labels)]
-    numbers = {name: np.asarray(draft.fields[name].values, dtype=np.float64) for name in names}
-    moving = [name for name in names if np.ptp(numbers[name]) > 0 and not (np.diff(numbers[name]) == 1).all()]
-    best: tuple[float, str, str, str, float] | None = None
+def _product(numbers: dict[str, NDArray[np.float64]]) -> tuple[float, str, str, str] | None:
+    """Columns of which one is the product of two others: by how much it misses, volts, amperes and watts."""
+    moving = [name for name, one in numbers.items() if np.ptp(one) > 0 and not (np.diff(one) == 1).all()]
+    best: tuple[float, str, str, str] | None = None
     for p, (v, i) in itertools.product(moving, itertools.permutations(moving, 2)):
         if p in (v, i):
             continue
@@ -300,10 +298,38 @@ def name_headless(draft: Draft) -> None:
         factor = min((1.0, 1e-3, 1e3), key=lambda f: abs(np.log10(abs(scale) / f)) if scale else np.inf)
         miss = float(np.median(np.abs(watts - factor * product)) / max(np.median(np.abs(watts)), 1e-12))
         if miss < 0.05 and (best is None or miss < best[0]):
-            best = (miss, v, i, p, factor)
-    if best is None:
+            best = (miss, v, i, p)
+    return best
+
+
+def _from_array(draft: Draft) -> list[str]:
+    """Volts, amperes and watts among the numbers of a topic that have no names (``/power.data[2]``)."""
+    arrays: dict[str, dict[str, NDArray[np.float64]]] = {}
+    for name, one in draft.fields.items():
+        if (match := re.fullmatch(r"(.+\.data)\[\d+\]", name)) and not isinstance(one.values, Labels):
+            arrays.setdefault(match[1], {})[name] = draft.values(name)
+    for numbers in arrays.values():
+        if len(numbers) < 3 or (best := _product(numbers)) is None:
+            continue
+        names = best[1:]
+        short = [name.rpartition(".")[2] for name in names]
+        why = f"{short[0]} × {short[1]} gives {short[2]}"
+        roles = ("voltage", "current", "power")
+        v, i, p = (Guess(role, name, "", 1.0, why, "likely") for role, name in zip(roles, names, strict=True))
+        i = _in_milli(draft, i, v)
+        watts = np.abs(draft.values(v.field) * draft.values(i.field, i.unit))
+        milli = float(np.median(np.abs(draft.values(p.field)))) > 30.0 * float(np.median(watts))
+        return _from_power(draft, replace(p, unit="mW" if milli else ""), (v, i))
+    return []
+
+
+def name_headless(draft: Draft) -> None:
+    """Name the columns of a file without header: where one is the product of two others they are P, V and I."""
+    names = [name for name, one in draft.fields.items() if not isinstance(one.values, Labels)]
+    numbers = {name: np.asarray(draft.fields[name].values, dtype=np.float64) for name in names}
+    if (best := _product(numbers)) is None:
         return
-    miss, v, i, p, factor = best
+    miss, v, i, p = best
     milli = float(np.median(np.abs(numbers[p]))) > 500.0
     parts = {v: "bus_V", i: "current_mA" if milli else "current_A", p: "power_mW" if milli else "power_W"}
     index = next((name for name in names if (np.diff(numbers[name]) == 1).all()), None)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
+from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.physics import Array
@@ -85,6 +86,16 @@ def rate_of_change(values: Array, time_s: Array, over_s: float | None = None) ->
     low, high = np.maximum(time_s - 0.5 * over_s, t[0]), np.minimum(time_s + 0.5 * over_s, t[-1])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((np.interp(high, t, v) - np.interp(low, t, v)) / (high - low))
+
+
+def goes_back(speed: Array) -> NDArray[np.bool_]:
+    """Whether the robot goes backwards; at rest, where the speed's sign is that of its noise, as it went before.
+    `speed` (shape (n,)): [m/s]."""
+    moves = np.flatnonzero(np.abs(speed) > STILL_SPEED_M_S)
+    if not len(moves):
+        return np.zeros(len(speed), dtype=np.bool_)
+    last = np.searchsorted(moves, np.arange(len(speed)), side="right") - 1
+    return np.asarray(speed[moves[np.maximum(last, 0)]] < 0)
 
 
 def shift_back(data: ColumnData, time_s: Array, lag_s: float) -> ColumnData:

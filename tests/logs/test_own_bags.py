@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,44 @@ def test_headers_with_the_time_of_day_beside_simulated_ones(tmp_path: Path) -> N
     text = MAP.replace("/power.data", "/battery.voltage")
     log = imported(tmp_path, bag.write(tmp_path / "run"), text)
     assert log.duration_s == pytest.approx(240.0, rel=0.02)
+
+
+# a clock that is set back
+
+
+def ticking(*, back_s: float = 0.0, burst: bool = False) -> Bag:
+    """Three topics at a steady pace; after 60 s the clock is set back, or messages wait for 3 s and come at once."""
+    bag, rng = Bag(), np.random.default_rng(2)
+    for i in range(2400):
+        t = 0.05 * i
+        off = -back_s if t >= 60 else 0.0
+        late = max(0.0, 63.0 - t) * 0.9 if burst and 60 <= t < 63 else 0.0
+        received = t + off + late + rng.uniform(0.001, 0.006)
+        bag.odometry("/odom", t + off, speed(t), received=received)
+        bag.imu("/imu", received, 0.1, header=bag.header(t + off))
+        if i % 2 == 0:
+            bag.number("/power", received, 20.0)
+    return bag
+
+
+@pytest.mark.parametrize("clock", ["header", "bag"])
+def test_two_stretches_over_one_another_are_told(tmp_path: Path, clock: str) -> None:
+    text = MAP.replace("timeline:", f"stamp: {clock}\ntimeline:")
+    log = imported(tmp_path, ticking(back_s=2.5).write(tmp_path / "run", "sqlite3"), text)
+    (told,) = [remark for remark in log.remarks if "twice" in remark.message]
+    assert (told.kind, told.severity) == ("clock", "warning")
+    found = re.fullmatch(
+        r"from (.+) s on, about (.+) s hold twice the messages of every topic: was the clock set back\?", told.message
+    )
+    assert found is not None
+    assert [float(found[1]), float(found[2])] == pytest.approx([57.5, 2.5], abs=0.2)
+    assert "keep: time_s < 57 or time_s > 6" in told.action
+
+
+@pytest.mark.parametrize("burst", [False, True])
+def test_messages_that_wait_are_no_clock_that_is_set(tmp_path: Path, burst: bool) -> None:
+    log = imported(tmp_path, ticking(burst=burst).write(tmp_path / "run", "sqlite3"))
+    assert not [remark for remark in log.remarks if "twice" in remark.message]
 
 
 # what cannot be read

@@ -138,3 +138,76 @@ def test_currents_of_drivers_and_of_the_rest(tmp_path: Path, topic: str) -> None
     log, text = suggested(tmp_path, bag)
     near(log.power_w["robot"], 24.0 * (2 * amps(log.time_s) + 2.6), 0.5)
     assert "mcu_and_user_port_current" in text.split("columns:")[1]
+
+
+def test_numbers_in_an_array(tmp_path: Path) -> None:
+    """Volts, milliamperes and milliwatts without a name: the one is the product of the others."""
+    bag = Bag()
+    for i in range(1200):
+        t = 0.05 * i
+        volts, current = battery_volts(t), amps(t)
+        data = np.array([volts, 1000 * current, 1000 * volts * current, i % 7], dtype=np.float32)
+        bag.put("/power_monitor", t, "std_msgs/Float32MultiArray", data=data)
+        bag.odometry("/odom", t, speed(t))
+    log, text = suggested(tmp_path, bag)
+    near(log.power_w["robot"], battery_volts(log.time_s) * amps(log.time_s), 0.5)
+    near(log.number("voltage_robot_v"), battery_volts(log.time_s), 0.1)
+    assert "data[0] × data[1] gives data[2]" in text
+
+
+# motion
+
+
+def test_a_robot_that_moves_sideways(tmp_path: Path) -> None:
+    bag = Bag()
+    for i in range(1200):
+        t = 0.05 * i
+        bag.odometry("/odom", t, -speed(t), vy=0.3 * math.sin(t))
+        bag.battery("/battery", t, battery_volts(t), -amps(t))
+    log, _ = suggested(tmp_path, bag)
+    near(log.number("speed_m_s"), -speed(log.time_s), 0.02)
+    near(log.number("lateral_speed_m_s"), 0.3 * np.sin(log.time_s), 0.02)
+
+
+def test_an_imu_that_does_not_know_its_attitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = Bag()
+    for i in range(1200):
+        t = 0.05 * i
+        bag.odometry("/odom", t, speed(t))
+        bag.imu("/imu", t, 0.2, pitch=None)
+        bag.battery("/battery", t, battery_volts(t), -amps(t))
+    log, text = suggested(tmp_path, bag)
+    assert "/imu.orientation" not in text.split("# not used")[0]
+    assert log.number("heading_rad") == pytest.approx(0.0)
+
+
+def test_the_slope_keeps_its_sign_at_rest(tmp_path: Path) -> None:
+    """Odometry trembles at rest; the slope is that of the travel before, and before the first that of the first."""
+    rng = np.random.default_rng(3)
+    bag = Bag()
+    for i in range(1200):
+        t = 0.05 * i
+        drives = -0.5 if 10 < t < 20 else 0.5 if 30 < t < 40 else 0.0
+        bag.odometry("/odom", t, drives + rng.normal(0.0, 0.001))
+        bag.imu("/imu", t, 0.0, pitch=0.1)
+        bag.battery("/battery", t, 24.0, -1.0)
+    log, _ = suggested(tmp_path, bag)
+    slope, t = log.number("slope_rad"), log.time_s
+    np.testing.assert_allclose(slope[t < 29.5], -0.1, atol=1e-3)
+    np.testing.assert_allclose(slope[t > 30.5], 0.1, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("topic", "found"), [("/temperature", True), ("/ambient", True), ("/motor/temperature", False)]
+)
+def test_the_temperature_of_the_air(tmp_path: Path, topic: str, found: bool) -> None:
+    bag = Bag()
+    for i in range(600):
+        t = 0.1 * i
+        bag.odometry("/odom", t, speed(t))
+        bag.battery("/battery", t, battery_volts(t), -amps(t))
+        bag.put(topic, t, "sensor_msgs/Temperature", header=bag.header(t), temperature=21.0 + 0.01 * t)
+    log, text = suggested(tmp_path, bag)
+    assert ("temp_ambient_c" in log.columns) == found
+    if topic == "/temperature":
+        assert "temp_ambient_c: temp_ambient  # a guess: its type sensor_msgs/msg/Temperature; of the air?" in text

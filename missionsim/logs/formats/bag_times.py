@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -106,7 +107,9 @@ def common_times(
         remarks.append(Remark("clock", "", message, action, "warning"))
     chosen = {name: pair[which] for name, pair in pairs.items()}
     start = min((int(times.min()) for times in chosen.values() if len(times)), default=0)
-    return {name: (times - start).astype(np.float64) * 1e-9 for name, times in chosen.items()}, start * 1e-9
+    seconds = {name: (times - start).astype(np.float64) * 1e-9 for name, times in chosen.items()}
+    _tell_set_back(seconds, remarks)
+    return seconds, start * 1e-9
 
 
 def _with_header(pair: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -152,3 +155,49 @@ def _to_simulated(sim: _Simulated, pairs: dict[str, NDArray[np.int64]], guessed:
         message = f"{have} at {sim.rate:.3g} times the bag's clock, and {', '.join(moved)} has the bag's time only"
         action = "brought to simulated time, by when the bag received it"
         remarks.append(Remark("clock", "", message, action, "warning" if guessed else "note"))
+
+
+_STEPS, _DENSE, _EVEN = 6, (0.4, 0.65), 0.7
+"""Over so many steps at such a part of the usual length, twice the messages come; part of a topic's steps that are the
+usual one where it has a pace."""
+_BACK_ROWS = 12
+"""Messages of two stretches over one another below which they are late ones."""
+
+
+def _dense(times: Array) -> tuple[float, float] | None:
+    """When the longest stretch with twice the messages begins and ends [s]; None where there is none, or it makes up
+    for a silence before it. Raises ValueError: a topic without a pace."""
+    times = np.sort(times)
+    steps = np.diff(times)
+    usual = float(np.median(steps)) if len(steps) > 50 else 0.0
+    if usual <= 0 or float(np.mean(np.abs(steps - usual) < 0.3 * usual)) < _EVEN:
+        raise ValueError("no pace")
+    part = (times[_STEPS:] - times[:-_STEPS]) / (_STEPS * usual)
+    dense = (part > _DENSE[0]) & (part < _DENSE[1])
+    edges = np.flatnonzero(np.diff(np.r_[False, dense, False]))
+    if not len(edges):
+        return None
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    first, last = int(edges[2 * longest]), int(edges[2 * longest + 1]) - 1 + _STEPS
+    silence = float(steps[max(first - _STEPS, 0) : first + _STEPS].max())
+    if last - first < _BACK_ROWS or silence > 3.0 * usual:
+        return None
+    return float(times[first]), float(times[last])
+
+
+def _tell_set_back(seconds: Mapping[str, Array], remarks: list[Remark]) -> None:
+    """Tell a clock that was set back: what came before and after lies over one another, in every topic."""
+    found: list[tuple[float, float] | None] = []
+    for times in seconds.values():
+        with contextlib.suppress(ValueError):
+            found.append(_dense(times))
+    known = [one for one in found if one is not None]
+    if len(known) < 2 or len(known) < len(found):
+        return
+    begin, end = (float(np.median(ends)) for ends in zip(*known, strict=True))
+    if max(abs(one[0] - begin) + abs(one[1] - end) for one in known) > max(1.0, 0.3 * (end - begin)):
+        return
+    long = f"about {end - begin:.2g} s"
+    message = f"from {begin:.4g} s on, {long} hold twice the messages of every topic: was the clock set back?"
+    action = f"left as it is; `keep: time_s < {np.floor(begin):g} or time_s > {np.ceil(end):g}` leaves them out"
+    remarks.append(Remark("clock", "", message, action, "warning"))
