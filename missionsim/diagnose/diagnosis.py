@@ -291,7 +291,7 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
         beside = with_law(models, law.effect, law.effect)
         if found.choice.forward is not None:
             effects = beside.needed_beside(law, effects)
-    effects = models.of_all_braking(effects)
+    effects = models.of_the_way_ahead(models.of_all_braking(effects))
     # a base that is known from these logs alone may take all of an effect
     effects, fitted = models.certain(effects, 0 if features.given_sd else 1, models.settings.min_share)
     if effects and proposed:

@@ -178,6 +178,22 @@ class Models:
             return tuple(effects)
         return tuple(cold if errors[2] <= errors[1] * (1.0 + CLEARLY) else new)
 
+    def of_the_way_ahead(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
+        """The effects as they act where braking and descents relieve what driving straight ahead needs and not what
+        turning does, if that predicts left-out runs clearly better: tyres that slide sideways have no use for it."""
+        library = self.features.effects
+        own = [one for one in effects if (e := library.get(one.effect)) is not None and e.recovers]
+        drive = [
+            *(t.effect for t in self.power.of(self.battery)),
+            *(library[e.effect] for e in effects if e.effect in library),
+        ]
+        if not own or not any(e.stage == 0 and "yaw_rate_rad_s" in e.needs for e in drive):
+            return tuple(effects)
+        ahead = Estimate(1.0, 1.0, 1.0, "1")
+        new = [replace(e, parameters={**e.parameters, "ahead": ahead}) if e in own else e for e in effects]
+        before, after = self.of_others(effects), self.of_others(new)
+        return tuple(new if after < (1.0 - CLEARLY) * before else effects)
+
     def needed_beside(self, law: Finding, effects: Sequence[Finding]) -> tuple[Finding, ...]:
         """The effects without which left-out runs are predicted clearly worse, a law being there as well."""
         kept = list(effects)

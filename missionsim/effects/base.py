@@ -110,9 +110,17 @@ class Effect:
         power = self.power(cov, p)
         if not self.limits(p):
             return power
-        part = 1.0 if self.relief is None else self.relief(p)
+        part = self.relieves(p, number(cov, "drive_w"), number(cov, "traction_w"))
         back: Value = p.get(self.back, number(cov, "regeneration"))
         return recovered_power(power, part * number(cov, "drive_w"), back)
+
+    def relieves(self, p: Parameters, drive_w: Value, straight_w: Value) -> Value:
+        """The part of the drive's power that it relieves, where the drive would need `straight_w` without a turn."""
+        part: Value = 1.0 if self.relief is None else self.relief(p)
+        if "ahead" not in p:
+            return part
+        ahead = np.clip(straight_w / np.where(np.asarray(drive_w) > 0.0, drive_w, np.inf), 0.0, 1.0)
+        return np.asarray(part * (1.0 - p["ahead"] * (1.0 - ahead)))
 
     def limits(self, p: Parameters) -> bool:
         """Whether what it gives back ends where the drive needs nothing any more, but for what regeneration returns."""

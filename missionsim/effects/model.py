@@ -242,7 +242,8 @@ class PowerModel:
                 powers[term.key] = power
                 if term.limited:
                     relieving[term.key] = power
-                    parts.append(1.0 if effect.relief is None else effect.relief(own))
+                    straight = self.traction_w(given, name, values) if "ahead" in own else drive
+                    parts.append(effect.relieves(own, drive, straight))
                     back.append(own.get(effect.back, number(given, "regeneration")))
                 elif effect.drive and not effect.of_drive:
                     drive = drive + (np.maximum(power, 0.0) if effect.back else power)

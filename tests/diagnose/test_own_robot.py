@@ -476,3 +476,27 @@ def test_what_comes_to_nothing_in_the_last_fit_is_written_as_nothing() -> None:
     fit = final_fit(replace(model, terms=(*model.terms, *terms)), logs, BATTERY, {}, Clock(0.0, 0.0, ()), Settings())
     assert fit.values["conversion_loss.k"].value == 0.0
     assert fit.model.parameters_of(BATTERY)["conversion_loss.k"].value == 0.0
+
+
+@pytest.mark.usefixtures("effects_alone")
+@pytest.mark.parametrize("ahead", [False, True])
+def test_what_a_descent_relieves_is_what_left_out_runs_say(ahead: bool) -> None:
+    """A cart that turns on its way down: tyres that slide sideways may have no use for the descent. A law of turning
+    while descending stood in for that."""
+    rng, logs = np.random.default_rng(2), []
+    for seed in range(5):
+        log = drive(seed, seconds=400.0, noise=0.001)
+        v, w = np.asarray(log.number("speed_m_s")), np.abs(np.asarray(log.number("yaw_rate_rad_s")))
+        slope = np.repeat(rng.uniform(-0.12, 0.12, 20), 20)
+        driving, turning, lifting = 12.0 * v, 25.0 * w * (v > 0), 1.5 * 20.0 * 9.81 * v * np.sin(slope)
+        moves = np.maximum(driving + lifting, 0.0) + turning if ahead else np.maximum(driving + turning + lifting, 0.0)
+        power = 20.0 + moves + rng.normal(0.0, 0.05, 400)
+        logs.append(drawing(log, power, slope_rad=slope))
+    own = robot_from_text(calibrate_new(NewRobot("own", "c3*v + kw*abs(w) + c4", mass="20 kg"), logs).text)
+    (grade,) = (
+        e
+        for e in diagnose_battery(Subject.of(own), Split(tuple(logs), (), ""), BATTERY, Settings()).effects
+        if e.effect == "grade"
+    )
+    assert ("ahead" in grade.parameters) is ahead
+    assert grade.parameters["k"].value == pytest.approx(1.5, rel=0.05)

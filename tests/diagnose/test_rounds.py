@@ -210,6 +210,7 @@ def test_where_the_base_is_far_off_a_law_waits_for_effects_that_are_still_to_be_
     models = SimpleNamespace(
         settings=SimpleNamespace(min_share=0.0),
         of_all_braking=tuple,
+        of_the_way_ahead=tuple,
         certain=lambda effects, *_: (effects, None),
         leaning=lambda effects, _: effects,
     )
@@ -362,6 +363,7 @@ def judged_beside_a_law(
     models = SimpleNamespace(
         settings=SimpleNamespace(min_share=0.0),
         of_all_braking=tuple,
+        of_the_way_ahead=tuple,
         certain=lambda effects, *_: (effects, "alone"),
         leaning=lambda effects, _: effects,
         fit=lambda effects, fixed: (effects, fixed),

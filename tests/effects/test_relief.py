@@ -24,6 +24,26 @@ def test_grade_takes_its_part_of_the_drive(k: float, floor_w: float) -> None:
     assert power[3] == pytest.approx(floor_w)
 
 
+@pytest.mark.parametrize(("ahead", "saved_w"), [(None, 30.0), (0.0, 30.0), (0.5, 20.0), (1.0, 10.0)])
+def test_a_descent_may_relieve_what_driving_straight_ahead_needs(ahead: float | None, saved_w: float) -> None:
+    """10 W of driving and 20 W of tyres that slide sideways, on a slope that is steep enough for both."""
+    grade = "k: 1.4" if ahead is None else f"k: 1.4, ahead: {ahead}"
+    own = build_power_model(
+        robot_from_text(
+            "kind: robot\nname: cart\nbody: {mass: 30 kg, drive: skid_steer, max_speed: 2 m/s}\n"
+            "batteries: {robot: {capacity: 100 Wh}}\n"
+            "motion: {battery: robot, model: expression, power: 'c3*v + kw*abs(w)', parameters: {c3: 10, kw: 20}}\n"
+            f"effects:\n  - {{effect: grade, battery: robot, parameters: {{{grade}}}}}\n"
+        )
+    )
+    level, steep = ({"speed_m_s": 1.0, "yaw_rate_rad_s": 1.0, "slope_rad": slope} for slope in (0.0, -0.3))
+    saved = np.asarray(own.total(level, "robot")) - np.asarray(own.total(steep, "robot"))
+    assert saved == pytest.approx(saved_w)
+    alone = {"mass_kg": 30.0, "drive_w": 30.0, "traction_w": 10.0, **steep}
+    values = {"k": 1.4} | ({} if ahead is None else {"ahead": ahead})
+    assert get_effect("grade").alone(alone, values) == pytest.approx(-saved_w)
+
+
 def test_parts_of_several_terms() -> None:
     # both together would take 12 W; half of the help may take all of the drive, half a half of it
     assert relieved_powers([-6.0, -6.0], 8.0, 0.0, [1.0, 0.5]) == pytest.approx([-3.0, -3.0])
