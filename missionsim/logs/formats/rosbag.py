@@ -50,12 +50,11 @@ def read_bag(path: Path, options: Options) -> Recording:
     `most` messages of each topic; `clock`. Raises InputError: an unreadable bag.
     """
     remarks: list[Remark] = []
-    if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
-        path = path.parent
+    inside = path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists()
     needed("rosbags.highlevel", "reading bags", str(path))
-    with whole_files(path, remarks) as files:
-        lone = files[0] if len(files) == 1 and files[0].suffix == ".mcap" else None
-        found = read_json_mcap(lone, options) if lone is not None else None
+    with whole_files(path.parent if inside else path, remarks) as files:
+        lone = path if not remarks else files[0]
+        found = read_json_mcap(lone, options) if len(files) == 1 and lone.suffix == ".mcap" else None
         if found is not None:
             found.remarks[:0] = remarks
         return found or _read(files, str(path), options, remarks)
