@@ -161,12 +161,21 @@ def test_the_doctor_sees_what_is_wrong(patrol: Path, tmp_path: Path) -> None:
     assert Doctor(path).faults == ["checksum of the summary", "messages in the statistics"]
 
 
-@pytest.mark.parametrize("part", [0.3, 0.7, 0.99])
-def test_half_a_file_is_told(patrol: Path, part: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("part", "code"), [(0.3, 2), (0.7, 1), (0.99, 1)])
+def test_half_a_file_is_told(
+    patrol: Path, part: float, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its whole parts are read, where there are any; `--strict` refuses."""
     raw = patrol.read_bytes()
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(raw[: int(part * len(raw))])
     out = tmp_path / "log.parquet"
     map_file = patrol.with_suffix(".map.yaml")
-    assert run_command(["import", str(broken), "--map", str(map_file), "--out", str(out), "--quiet"]) == 2
+    given = ["import", str(broken), "--map", str(map_file), "--out", str(out)]
+    assert run_command([*given, "--strict"]) == 2
     assert not out.exists()
+    assert "was never closed, or is cut" in capsys.readouterr().err
+    assert run_command(given) == code
+    said = capsys.readouterr()
+    assert "was never closed, or is cut" in (said.out + said.err).replace("\n", " ")
+    assert out.exists() == (code == 1)
