@@ -164,7 +164,10 @@ class PowerModel:
     def lagging(self, name: str, cov: Covariates, values: Mapping[str, Value]) -> Value:
         """The signal of a lag."""
         term, lag = self.lags[name]
-        found: Value = lag.signal({**aliased(self.complete(cov, values)), **self._values(term, values)})
+        full = self.complete(cov, values)
+        if any(need not in full for need in term.effect.needs):
+            raise InputError(self.lacking(full, term.key.battery))
+        found: Value = lag.signal({**aliased(full), **self._values(term, values)})
         return found
 
     def time_constant(self, name: str, values: Mapping[str, Value]) -> Value:

@@ -235,7 +235,7 @@ class ArrayMission:
     def _split(self) -> tuple[PowerModel, dict[str, dict[str, Array]]]:
         """The terms that some draw changes, or an interval, as two runs tell; of each battery the power of the others
         on each part [W], by component. A term that stands with others (in a loss of the load, in what the drive is
-        relieved of) changes with them; one whose only numbers are zero and not drawn is none."""
+        relieved of or pushes back) changes with them; one whose only numbers are zero and not drawn is none."""
         setup, values = self._planned(self.sampler.at({v.name: np.array([0.3, 0.7]) for v in self.sampler.values}))
         intervals, part = self.split(setup)[0], slice(0, 2)
         duration = intervals.duration(part)
@@ -255,7 +255,7 @@ class ArrayMission:
             ]
             changing = {term.key for term in terms if np.shape(powers[term.key])[:-1] == (2,)}
             load = any(term.effect.of_load for term in terms)
-            relieved = any(term.limited and term.key in changing for term in terms)
+            relieved = any((term.limited or term.effect.of_drive) and term.key in changing for term in terms)
             for term in terms:
                 rows, component = still[battery], term.key.component
                 coupled = load or (relieved and (term.effect.drive or term.limited))

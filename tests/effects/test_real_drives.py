@@ -13,6 +13,7 @@ from missionsim.diagnose.split import Split
 from missionsim.effects.library import get_effect, logged_power_columns
 from missionsim.effects.model import PowerModel
 from missionsim.engine.simulate import simulate
+from missionsim.errors import InputError
 from missionsim.fit.calibrate import NewRobot, calibrate_new
 from missionsim.fit.parameters import fit_parameters
 from missionsim.identify.settings import Settings
@@ -20,6 +21,7 @@ from missionsim.inputs.loading import load_mission, robot_from_text
 from missionsim.inputs.power import build_power_model
 from missionsim.labels import Labels
 from missionsim.runs.run import Run
+from missionsim.uncertainty.batch import Task, prepare
 
 MASS_KG, G = 30.0, 9.80665
 ROBOT = """\
@@ -158,10 +160,28 @@ def test_a_mission_without_recuperation_takes_what_its_formula_would(tmp_path: P
     ahead = LINEAR.replace("kw*abs(w) + ", "")
     energy = []
     for text in (with_formula(LINEAR, LOST % 1), with_formula(f"max({ahead}, 0) + kw*abs(w)")):
-        slow = text.replace("max_speed: 2 m/s", "max_speed: 2 m/s, max_acceleration: 0.5 m/s^2")
-        (tmp_path / "robot.yaml").write_text(slow)
+        (tmp_path / "robot.yaml").write_text(slow_robot(text))
         energy.append(simulate(load_mission(tmp_path / "mission.yaml")).batteries["robot"].energy_wh)
     assert energy[0] == pytest.approx(energy[1], rel=1e-9)
+    # in a batch, what pushes back stands with all of the drive, though k alone is drawn
+    drawn = slow_robot(with_formula(LINEAR, LOST.replace("%g", "{value: 0.8, sd: 0.1}")))
+    (tmp_path / "robot.yaml").write_text(drawn)
+    made = prepare(Task(str(tmp_path / "mission.yaml"), (), None, 1, "auto"))
+    assert made.arrays is not None, made.why_not_arrays
+
+
+def slow_robot(text: str) -> str:
+    return text.replace("max_speed: 2 m/s", "max_speed: 2 m/s, max_acceleration: 0.5 m/s^2")
+
+
+def test_a_rate_of_what_a_mission_does_not_know_is_a_fault_of_the_input(tmp_path: Path) -> None:
+    law = "  - {name: arm, battery: robot, power: 'k * abs(angle - lag(angle, 0.3))', parameters: {k: 5 W}}\n"
+    (tmp_path / "robot.yaml").write_text((ROBOT % "") + f"effects:\n{law}")
+    (tmp_path / "mission.yaml").write_text(
+        "kind: mission\nname: ahead\nrobot: robot.yaml\nsegments: [{drive: {distance: 5 m, speed: 1 m/s}}]\n"
+    )
+    with pytest.raises(InputError, match="'arm' reads 'angle', which is not known here"):
+        simulate(load_mission(tmp_path / "mission.yaml"))
 
 
 def test_a_base_that_takes_all_as_given_back_is_told_from_heat_in_the_windings() -> None:
