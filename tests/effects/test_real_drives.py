@@ -160,18 +160,19 @@ def test_a_mission_without_recuperation_takes_what_its_formula_would(tmp_path: P
     ahead = LINEAR.replace("kw*abs(w) + ", "")
     energy = []
     for text in (with_formula(LINEAR, LOST % 1), with_formula(f"max({ahead}, 0) + kw*abs(w)")):
-        (tmp_path / "robot.yaml").write_text(slow_robot(text))
+        slow = text.replace("max_speed: 2 m/s", "max_speed: 2 m/s, max_acceleration: 0.5 m/s^2")
+        (tmp_path / "robot.yaml").write_text(slow)
         energy.append(simulate(load_mission(tmp_path / "mission.yaml")).batteries["robot"].energy_wh)
     assert energy[0] == pytest.approx(energy[1], rel=1e-9)
     # in a batch, what pushes back stands with all of the drive, though k alone is drawn
-    drawn = slow_robot(with_formula(LINEAR, LOST.replace("%g", "{value: 0.8, sd: 0.1}")))
+    drawn = with_formula(LINEAR, LOST.replace("%g", "{value: 0.8, sd: 0.1}"))
     (tmp_path / "robot.yaml").write_text(drawn)
+    (tmp_path / "mission.yaml").write_text(
+        "kind: mission\nname: down\nrobot: robot.yaml\ndefaults: {speed: 0.5 m/s}\nsegments:\n"
+        "  - drive: {distance: 20 m}\n  - wait: {duration: 60 s}\n  - drive: {distance: 5 m, slope: -5 deg}\n"
+    )
     made = prepare(Task(str(tmp_path / "mission.yaml"), (), None, 1, "auto"))
     assert made.arrays is not None, made.why_not_arrays
-
-
-def slow_robot(text: str) -> str:
-    return text.replace("max_speed: 2 m/s", "max_speed: 2 m/s, max_acceleration: 0.5 m/s^2")
 
 
 def test_a_rate_of_what_a_mission_does_not_know_is_a_fault_of_the_input(tmp_path: Path) -> None:
