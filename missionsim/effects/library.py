@@ -97,11 +97,13 @@ def _boards(moving: str, standing: str) -> Power:
     return power
 
 
-def _while_moving(power: Power, over: str) -> Power:
-    """A power while the robot moves, over an efficiency; of many draws without a pass where all is moving."""
+def _while_moving(power: Power, over: str, ahead: bool) -> Power:
+    """A power while the robot moves (`ahead`: and does not only turn), over an efficiency; of many draws without a pass
+    where all is moving."""
 
     def moving_power(cov: Covariates, p: Parameters) -> Any:
-        watts, moving = power(cov, p) / p[over] if over else power(cov, p), is_moving(cov)
+        moving = is_moving({**cov, "yaw_rate_rad_s": 0.0} if ahead else cov)
+        watts = power(cov, p) / p[over] if over else power(cov, p)
         if np.ndim(watts) > np.ndim(moving):
             return watts if np.all(moving) else watts * np.asarray(moving, dtype=float)
         return watts * moving
@@ -136,7 +138,7 @@ def declared(id: str, told: Json) -> Effect:
     call = told.get("power")
     power = _boards(*told["parameters"]) if call == "boards" else _called(call, needs) if call else _WRITTEN[id]
     if told.get("while_moving"):
-        power = _while_moving(power, told.get("over", ""))
+        power = _while_moving(power, told.get("over", ""), told["while_moving"] == "ahead")
     text = (told["equation"], told["source"], told.get("meaning") or told["equation"])
     return Effect(id, *text, specs, needs, power, memory=tuple(told.get("memory", ())), **more)
 

@@ -116,7 +116,11 @@ def test_odometry_that_trembles_at_rest_pulls_nothing() -> None:
     """It took the load at rest for heat in the windings, which a mission, that really stands, then lacked: 44 % of the
     energy of a small robot."""
     rest = {"speed_m_s": np.array([5e-4, -5e-4, 0.3]), "accel_m_s2": np.zeros(3), "mass_kg": 2.0}
-    assert get_effect("copper_loss").power(rest, {"k": 1.0, "rolling": 0.1})[:2] == pytest.approx([0.0, 0.0])
+    for turns in (0.0, 0.8):  # or that turns on the spot
+        power = get_effect("copper_loss").power(
+            {**rest, "yaw_rate_rad_s": np.full(3, turns)}, {"k": 1.0, "rolling": 0.1}
+        )
+        assert power == pytest.approx([0.0, 0.0, (2.0 * 0.1 * G) ** 2])
 
 
 LINEAR = "c3*v + kw*abs(w) + ka*m*a*v + kg*m*v*sin(theta)"
