@@ -194,7 +194,8 @@ class PowerModel:
                         effect.place.fault(
                             f"'{term.key.name}' reads '{name}', which is not known here",
                             got=effect.equation,
-                            allowed=f"its parameters, columns of the log or conditions of the mission; here: {columns}",
+                            allowed="its parameters, columns of the log, or what the mission gives: "
+                            f"conditions: {{{name}: …}} in its defaults or a segment; here: {columns}",
                             hint=did_you_mean(name, own),
                         )
                     )

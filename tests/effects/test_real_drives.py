@@ -185,8 +185,9 @@ def test_a_rate_of_what_a_mission_does_not_know_is_a_fault_of_the_input(tmp_path
     (tmp_path / "mission.yaml").write_text(
         "kind: mission\nname: ahead\nrobot: robot.yaml\nsegments: [{drive: {distance: 5 m, speed: 1 m/s}}]\n"
     )
-    with pytest.raises(InputError, match="'arm' reads 'angle', which is not known here"):
+    with pytest.raises(InputError, match="'arm' reads 'angle', which is not known here") as fault:
         simulate(load_mission(tmp_path / "mission.yaml"))
+    assert "conditions: {angle: …}" in fault.value.faults[0].allowed
 
 
 def test_a_base_that_takes_all_as_given_back_is_told_from_heat_in_the_windings() -> None:
