@@ -339,8 +339,8 @@ def _count(segments: Sequence[Any]) -> int:
     return sum(item.least * _count(item.segments) if item.kind == "repeat" else 1 for item in segments)
 
 
-_READERS = {"slope": {"grade"}, "payload": {"payload", "grade", "acceleration"}}
-"""Effects of the library that read the setting; lifting and speeding up read the load as part of the mass."""
+_READERS = {"slope": {"grade", "copper_loss"}, "payload": {"payload", "grade", "acceleration", "copper_loss"}}
+"""Effects of the library that read the setting; lifting, speeding up and pulling read the load as part of the mass."""
 _WORDS = {"slope": re.compile(r"\b(slope_rad|theta)\b"), "payload": re.compile(r"\b(payload_kg|mass_kg|m)\b")}
 
 

@@ -403,6 +403,15 @@ def test_a_slope_that_no_term_reads_is_told(folder: Path) -> None:
     assert load_mission("mission.yaml").warnings == ()
 
 
+@pytest.mark.parametrize("setting", ["slope: 3 deg", "payload: 1 kg"])
+def test_heat_in_the_windings_reads_slope_and_payload(folder: Path, setting: str) -> None:
+    """Both were told to cost nothing, and the energy rose by half."""
+    change("mission", "{to: B}", f"{{distance: 5 m, {setting}}}")
+    add_effect("effect: copper_loss, battery: main, parameters: {k: 0.01 W/N^2, rolling: 0.05}")
+    change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
+    assert told("mission.yaml") == []
+
+
 BY_FLOOR = (
     ROBOT
     + """effects:
