@@ -183,7 +183,8 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
                     sizes[candidate.effect] = max(size, 1.0)
             if all(abs(size / used.get(name, 1.0) - 1.0) < SAME_SIZE for name, size in sizes.items()):
                 break
-            features, found = identified(subject, at_size(features, sizes))
+            features = at_size(features, sizes)  # what is known of the base stays
+            found = identify(features.runs, features.candidates, features.prior_sd, settings)
             used = sizes
     except TooShortError as error:
         allowed = f"{FEWEST_INTERVALS} intervals of {settings.period_s:g} s or longer in a run"

@@ -158,7 +158,7 @@ def settled(model: PowerModel, ready: Prepared, logs: Sequence[Run]) -> tuple[Po
     """
     battery = ready.battery
     for _ in range(SETTLING_ROUNDS):
-        aim, before = _least_squares_start(model, ready), _square(ready)
+        aim, before, acts = _least_squares_start(model, ready), _square(ready), {*acting(ready.gradients)}
         start = {name: p.value for name, p in ready.parameters.items()}
         goal = {name: aim.parameters[f"{battery}/{name}"].value for name in start}
         for power in range(10):
@@ -166,8 +166,7 @@ def settled(model: PowerModel, ready: Prepared, logs: Sequence[Run]) -> tuple[Po
             trial = model.with_values({f"{battery}/{n}": start[n] + part * (goal[n] - start[n]) for n in start})
             with np.errstate(all="ignore"):
                 after = prepare(trial, logs, battery)
-                acts = set(acting(ready.gradients)) <= set(acting(after.gradients))
-                if acts and _square(after) <= before * (1.0 + 1e-9):
+                if _square(after) <= before * (1.0 + 1e-9) and acts <= {*acting(after.gradients)}:
                     model, ready = trial, after
                     break
         moved = (abs(ready.parameters[n].value - v) / max(abs(v), 1e-300) for n, v in start.items())

@@ -118,7 +118,7 @@ class Proposal:
     possible: tuple[str, ...]
     """Both: quantities that every form depends on, and those that only some do."""
     curve: Curve | None
-    """None for a law with a memory."""
+    """None for a law with a memory or of a rate."""
     energy_share: float
     share_sd: float
     rise_nats: float
