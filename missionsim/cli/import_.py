@@ -20,6 +20,7 @@ from missionsim.inputs.loading import load_map
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, describe
 from missionsim.logs.blocks import LongRun, write_log
+from missionsim.logs.raw import Remark
 from missionsim.numerals import in_wh
 from missionsim.report.terminal import console, show_table
 
@@ -52,12 +53,14 @@ def import_(
     robot
         With --suggest: the robot (a shipped name, or a file) whose battery was measured, for the names of the columns.
     strict
-        Refuse everything where a file cannot be read or a recording is damaged, in place of leaving it out.
+        Refuse everything where a file cannot be read, a recording is damaged or its times are no times, in place of
+        leaving it out or mending it.
 
     Returns
     -------
     int
-        0 when everything was read, 1 when a file was left out or is damaged, or a suggestion has no power or no time.
+        0 when everything was read, 1 when a file was left out, is damaged or has times of which a tenth are wrong, or a
+        suggestion has no power or no time.
     """
     if not sources:
         raise InputError.single("no file was given", allowed="missionsim import FILE…")
@@ -82,9 +85,9 @@ def import_(
     if other and (long := import_long(sources[0], spec, target)) is not None:
         return _told([long], [target], (), sources, map_, to)
     logs = import_source(sources, spec, None if strict else left_out)
-    damaged = [log for log in logs if any(remark.kind == "damaged" for remark in log.remarks)]
-    if strict and damaged:
-        raise InputError([r.fault(log.source) for log in damaged for r in log.remarks if r.kind == "damaged"])
+    faulty = [remark.fault(log.source) for log in logs for remark in log.remarks if _lost(remark)]
+    if strict and faulty:
+        raise InputError(faulty)
     targets = _targets(logs, out)
     read = {Path(log.source).resolve() for log in logs if log.source}
     if faults := [  # a folder of Parquet files that is read into itself
@@ -95,8 +98,7 @@ def import_(
         raise InputError(faults)
     for log, target in zip(logs, targets, strict=True):
         write_log(log, target, provenance(log, spec))
-    _told(logs, targets, left_out, sources, map_, to)
-    return 1 if left_out or damaged else 0
+    return _told(logs, targets, left_out, sources, map_, to)
 
 
 def _told(
@@ -134,7 +136,12 @@ def _told(
     if left_out and to.text:
         names = sorted({fault.file for fault in left_out})
         print(f"left out: {', '.join(names)} ({len(names)} of {len(names) + len({log.source for log in logs})} files)")
-    return 0
+    return 1 if left_out or any(_lost(remark) for log in logs for remark in log.remarks) else 0
+
+
+def _lost(remark: Remark) -> bool:
+    """Whether an error cannot be seen in the file that is written, so that no later command tells it."""
+    return remark.severity == "error" and (remark.kind == "damaged" or remark.column == "time_s")
 
 
 def _targets(logs: list[LogTable], out: Path) -> list[Path]:

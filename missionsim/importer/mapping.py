@@ -22,12 +22,12 @@ from missionsim.importer.sources import find_sources, identifier, read_source, t
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
+from missionsim.logs.clean import out_of_order
 from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.readers import reader_of
 from missionsim.logs.times import close_jumps
-from missionsim.numerals import counted
 from missionsim.physics import Array
 from missionsim.runs.run import Run
 
@@ -270,11 +270,11 @@ def _finish(
     remarks: list[Remark],
 ) -> Run:
     time = np.asarray(run["time_s"])
-    if len(time) > 1 and (np.diff(time) < 0).any():
-        order, back = np.argsort(time, kind="stable"), np.diff(time) < 0
-        count, line = int(back.sum()), mapper.raw.line(int(number[int(np.argmax(back)) + 1]))
-        told, action = f"time runs backwards in {counted(count, 'place')}", "the rows were sorted by time"
-        remarks.append(Remark("time_backwards", "time_s", told, action, "warning", line, count))
+    finite = np.flatnonzero(np.isfinite(time))
+    late = out_of_order(time[finite], mapper.raw.file, lambda row: mapper.raw.line(int(number[finite[row]])))
+    if late is not None:  # before windows and shifts are counted from these times
+        remarks.append(late)
+        order = np.argsort(time, kind="stable")
         run, source = ({key: data[order] for key, data in columns.items()} for columns in (run, source))
         time, number = time[order], number[order]
     if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.median(np.diff(time))):
@@ -292,6 +292,9 @@ def _finish(
                 remarks.append(Remark("clock", key, f"comes {lag:g} s late", "shifted back, as the map asks", "note"))
     if mapper.spec.step is not None:
         step_s, time = float(mapper.spec.step), np.asarray(run["time_s"])
+        if (windows := (time[-1] - time[0]) / step_s) > 1000 * len(time):
+            told = f"'step' would make {windows:.3g} rows of {len(time)}"
+            raise InputError.single(told, file=str(mapper.spec.path), path="step", got=f"{step_s:g} s")
         edges = time[0] - 1e-9 + step_s * np.arange(int((time[-1] - time[0]) // step_s) + 2)
         run = transform.average_windows(run, time, edges[:-1], edges[1:], {})
         run["time_s"] = np.asarray(run["time_s"]) - edges[0]

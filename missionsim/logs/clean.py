@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ _DROWNING = 1e100
 """Larger numbers overflow when they are squared and summed."""
 _REORDER_S = 2.0
 """Rows out of order by less than this are sorted; more means that the clock was set or that runs were joined."""
+_STRAY = 0.002
+"""So few rows are no second run, but stamps that a logger wrote wrong (assumed)."""
 _CLASHING = 0.1
 """More rows than this part without a time, out of order, or with another's time and other values are no jitter of a
 clock, but times too coarse for the rows or two recordings in one file (assumed)."""
@@ -79,7 +82,7 @@ class Rows:
 def order_time(rows: Rows) -> None:
     """Make time finite, increasing and counted from the start of the run. Raises InputError: fewer than two rows; a
     time that restarts; a unit that is plainly not the second."""
-    file, even = rows.raw.file, "increasing times, one run a file"
+    file = rows.raw.file
     finite = np.isfinite(rows.time)
     if not finite.all():
         told = f"{counted(int((~finite).sum()), 'row')} without a time"
@@ -88,21 +91,8 @@ def order_time(rows: Rows) -> None:
     if len(rows.time) < 2:
         told = f"the log has {counted(len(rows.time), 'row')} with a time"
         raise InputError(Fault(file, 0, 0, told, allowed="at least two"))
-    step = np.diff(rows.time)
-    back = step < 0
-    if back.any():
-        count, jump = int(back.sum()), float(-step.min())
-        typical = float(np.median(np.abs(step)))
-        if jump > max(_REORDER_S, 20 * typical):
-            worst = int(np.argmin(step)) + 1
-            before, after = (f"{rows.time[row]:.6g}" for row in (worst - 1, worst))
-            told = f"time runs backwards by {jump:.6g} s, from {before} s to {after} s"
-            got = f"{after} after {before}" + (f", {count} such places" if count > 1 else "")
-            hint = "two runs in one file are split by a map with runs: {restart: true}"
-            raise InputError(Fault(file, rows.raw.line(int(rows.row[worst])), 0, told, "time_s", got, even, hint))
-        told = f"time runs backwards in {counted(count, 'place')}, by up to {jump:.3g} s"
-        at, action = int(np.argmax(back)) + 1, "the rows were sorted by time"
-        rows.remark("time_backwards", "time_s", told, action, _severity(count / len(step)), at, count)
+    if (late := out_of_order(rows.time, file, lambda row: rows.raw.line(int(rows.row[row])))) is not None:
+        rows.remarks.append(late)
         rows.take(np.argsort(rows.time, kind="stable"))
     if (np.diff(rows.time) == 0).any():
         _merge_duplicates(rows)
@@ -118,6 +108,32 @@ def order_time(rows: Rows) -> None:
         told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
         action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
         rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
+
+
+def out_of_order(time_s: Array, file: str, line_of: Callable[[int], int]) -> Remark | None:
+    """What is told of finite times that run backwards, where their rows are to be sorted; None where none does.
+
+    `line_of`: line of the file of a row. Raises InputError: a time that restarts, so that rows of two runs would mix.
+    """
+    step = np.diff(time_s)
+    back = step < 0
+    if not back.any():
+        return None
+    count, jump = int(back.sum()), float(-step.min())
+    typical = float(np.median(np.abs(step)))
+    early = np.maximum.accumulate(time_s) > time_s
+    ahead = np.minimum.accumulate(time_s[::-1])[::-1] < time_s
+    strays = min(int(early.sum()), int(ahead.sum()))
+    if jump > max(_REORDER_S, 20 * typical) and strays > max(_STRAY * len(time_s), 1):
+        worst = int(np.argmin(step)) + 1
+        before, after = (f"{time_s[row]:.6g}" for row in (worst - 1, worst))
+        told = f"time runs backwards by {jump:.6g} s, from {before} s to {after} s"
+        got = f"{after} after {before}" + (f", {count} such places" if count > 1 else "")
+        hint = "two runs in one file are split by a map with runs: {restart: true}"
+        raise InputError(Fault(file, line_of(worst), 0, told, "time_s", got, "increasing times, one run a file", hint))
+    told = f"time runs backwards in {counted(count, 'place')}, by up to {jump:.3g} s"
+    done, line = "the rows were sorted by time", line_of(int(np.argmax(back)) + 1)
+    return Remark("time_backwards", "time_s", told, done, _severity(count / len(step)), line, count)
 
 
 def _severity(share: float) -> str:

@@ -373,6 +373,42 @@ def test_command_faults(
     assert not (tmp_path / "a.parquet").exists()
 
 
+@pytest.mark.parametrize(
+    ("time", "more", "code", "said"),
+    [
+        ("t_ms", "", 2, "time runs backwards by 59900 s"),  # two recordings, one after the other
+        ("volt", "", 2, "all rows have the same time"),
+        ("saw", "", 1, "the rows were sorted by time"),  # no clock: a quarter of its steps go back
+        ("t_ms", "step: 1e-9 s", 2, "'step' would make"),
+    ],
+)
+def test_rows_of_two_runs_are_not_sorted_into_one(
+    time: str, more: str, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = source(tmp_path, saw=0.5 * (np.arange(N) % 4) + 0.01 * np.arange(N)), tmp_path / "log.parquet"
+    if "backwards" in said:
+        header, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([header, *rows, *rows]))
+    (tmp_path / "m.yaml").write_text(f"{BASE.replace('value: t_ms, unit: ms', f'value: {time}')}{more}\n")
+    assert main(["import", str(path), "--map", str(tmp_path / "m.yaml"), "--out", str(out)]) == code
+    captured = capsys.readouterr()
+    assert said in " ".join((captured.out + captured.err).split())
+    assert out.exists() == (code == 1)
+
+
+def test_one_stamp_that_a_logger_wrote_wrong_costs_no_run(tmp_path: Path) -> None:
+    """A row of a few hundred that jumps back is no second run, whether a map reads it or not."""
+    columns = motion(1000)
+    columns["time_s"][700] = 20.0
+    write_csv(tmp_path / "run.csv", columns)
+    (tmp_path / "m.yaml").write_text("kind: map\ncolumns: {time_s: time_s, power_robot_w: power_robot_w}")
+    mapped = import_source(tmp_path / "run.csv", load_map(tmp_path / "m.yaml"))[0]
+    for log in (read_log(tmp_path / "run.csv"), mapped):
+        remark = next(remark for remark in log.remarks if remark.kind == "time_backwards")
+        assert (remark.severity, remark.count, remark.line) == ("warning", 1, 702)
+        assert log.duration_s == pytest.approx(500.0, abs=0.6)
+
+
 LONG = """kind: map
 columns:
   time_s: {time}
