@@ -31,6 +31,13 @@ class Distribution:
     weights: tuple[float, ...] = ()
     """Both: of ``discrete`` and ``empirical``; weights add up to 1."""
 
+    def within(self, low: float, high: float) -> Distribution:
+        """The distribution cut off at bounds; one whose own kind sets its range stays as it is."""
+        if self.kind not in ("normal", "truncated_normal") or (self._low >= low and self._high <= high):
+            return self
+        ends = max(self._low, low), min(self._high, high)
+        return replace(self, kind="truncated_normal", low=ends[0], high=ends[1])
+
     @property
     def mean(self) -> float:
         """Mean, SI."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.random import SFC64, Generator, Philox
 
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Distribution, uncertain_values
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array
 
 CHUNK = 4096
@@ -153,13 +155,22 @@ class Sampler:
 
 
 def make_sampler(mission: MissionSpec) -> Sampler:
-    """The sampler of a mission, its robot and its environment."""
+    """The sampler of a mission, its robot and its environment. No draw of a parameter of the power model leaves the
+    bounds that physics sets."""
+    terms = () if mission.robot is None else build_power_model(mission.robot).terms
+    bounds = {
+        "robot." + term.parameters[spec.name].path: (spec.low, spec.high)
+        for term in terms
+        for spec in term.effect.parameters
+        if spec.name in term.parameters
+    }
     found: list[UncertainValue] = []
     for prefix, part in (("", mission), ("robot.", mission.robot), ("environment.", mission.environment)):
         if part is not None:
             for path, parameter in uncertain_values(part):
                 assert parameter.distribution is not None
-                found.append(UncertainValue(prefix + path, parameter.value, parameter.unit, parameter.distribution))
+                drawn = parameter.distribution.within(*bounds.get(prefix + path, (-math.inf, math.inf)))
+                found.append(UncertainValue(prefix + path, parameter.value, parameter.unit, drawn))
     names = [value.name for value in found]
     return Sampler(tuple(found), _groups(mission, names))
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from missionsim.inputs.loading import load_mission
 from missionsim.inputs.parameter import Distribution
-from missionsim.uncertainty.draws import CHUNK, Sampler, Streams, UncertainValue, run_generator
+from missionsim.uncertainty.draws import CHUNK, Sampler, Streams, UncertainValue, make_sampler, run_generator
 
 
 @given(st.integers(0, 2**40), st.text("a./é\u2028"), st.integers(0, 10_000), st.integers(1, 50), st.integers(0, 49))
@@ -63,3 +67,29 @@ def test_generators_of_runs_repeat_and_differ() -> None:
     first = run_generator(3, "dwell", 5).random(4)
     assert np.array_equal(first, run_generator(3, "dwell", 5).random(4))
     assert not np.any(first == run_generator(3, "dwell", 6).random(4))
+
+
+def test_no_draw_leaves_the_bounds_that_physics_sets(tmp_path: Path) -> None:
+    """A fitted 1.0 ± 0.5 of what is lost went on to 2.3 in a batch, although a file with 2 is refused."""
+    (tmp_path / "r.yaml").write_text("""kind: robot
+name: r
+body: {mass: 20 kg, drive: differential, max_speed: 2 m/s}
+batteries: {main: {capacity: 50 Wh, reserve: 10 %}}
+motion: {battery: main, model: polynomial, parameters: {c2: 6, c3: {value: 10, sd: 0.5}, c4: 4}}
+effects:
+  - {effect: lost_recuperation, battery: main, parameters: {k: {value: 1.0, sd: 0.5}}}
+  - {effect: grade, battery: main, parameters: {k: {value: 0.2, sd: 0.2}, regeneration: {value: 0.9, sd: 0.5}}}
+""")
+    (tmp_path / "m.yaml").write_text(
+        "kind: mission\nname: m\nrobot: r.yaml\nsegments:\n  - drive: {distance: 20 m, speed: 0.5 m/s, slope: -5 deg}\n"
+    )
+    drawn = make_sampler(load_mission(tmp_path / "m.yaml")).draw(1, 0, 4000)
+    span = {name: (values.min(), values.max()) for name, values in drawn.items()}
+    k, back = (span[f"robot.effects.{i}.parameters.{name}"] for i, name in ((0, "k"), (1, "regeneration")))
+    assert 0.0 <= k[0] < 0.2
+    assert 0.99 < k[1] <= 1.0
+    assert back[0] >= 0.0
+    assert 0.99 < back[1] <= 1.0
+    assert 0.0 <= span["robot.effects.1.parameters.k"][0] < 0.01
+    c3 = drawn["robot.motion.parameters.c3"]
+    assert (c3.mean(), c3.std()) == (pytest.approx(10.0, abs=0.05), pytest.approx(0.5, rel=0.05))
