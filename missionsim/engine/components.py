@@ -10,8 +10,7 @@ import simpy
 
 from missionsim.engine.recorder import Recorder
 from missionsim.errors import InputError
-from missionsim.plan.legs import Activity, Plan, Trigger
-from missionsim.plan.steady import closure
+from missionsim.plan.legs import Activity, Plan, Trigger, closure
 
 LATE = simpy.events.EventPriority(2)
 """Priority after every normal event of the same instant: a component that one asks off and another on stays on,
@@ -55,7 +54,7 @@ class Switchboard:
             self.hold("always on", tuple(always.items()))
 
     def closure(self, sensors: tuple[tuple[str, int], ...]) -> dict[str, int]:
-        """Components with everything that they require; see `missionsim.plan.steady.closure`."""
+        """Components with everything that they require; see `missionsim.plan.legs.closure`."""
         known = self._closures.get(sensors)
         if known is None:
             known = self._closures[sensors] = closure(self.infos, sensors)

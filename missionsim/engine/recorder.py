@@ -10,8 +10,7 @@ import numpy as np
 import simpy
 
 from missionsim.effects.timeline import Timeline
-from missionsim.plan.legs import Leg, Phase, Settings
-from missionsim.plan.steady import covariates_of
+from missionsim.plan.legs import Leg, Phase, Settings, covariates_of
 
 REST = Phase(0.0, 0)
 

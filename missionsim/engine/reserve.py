@@ -15,9 +15,8 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Value
 from missionsim.physics.lag import GOES_ON, SETTLED
 from missionsim.plan.kinematics import group
-from missionsim.plan.legs import Leg, Limits, OnEdge
+from missionsim.plan.legs import Leg, Limits, OnEdge, units_on
 from missionsim.plan.routes import Routes, Way, along
-from missionsim.plan.steady import units_on
 
 if TYPE_CHECKING:
     from missionsim.engine.world import World

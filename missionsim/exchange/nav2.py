@@ -22,7 +22,7 @@ from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Node
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
-from missionsim.plan.steady import steady_power_w
+from missionsim.plan.legs import steady_power_w
 
 _TITLES = ("name", "label", "title")
 _LINES = ("LineString", "MultiLineString")

@@ -27,9 +27,21 @@ from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
 from missionsim.plan.kinematics import group
-from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings, remainder, sign
+from missionsim.plan.legs import (
+    Gate,
+    Kind,
+    Leg,
+    OnEdge,
+    Pace,
+    Plan,
+    SegmentInfo,
+    Settings,
+    closure,
+    remainder,
+    sign,
+    steady_power_w,
+)
 from missionsim.plan.routes import Way, along, routes_of
-from missionsim.plan.steady import closure, steady_power_w
 
 MOST_SEGMENTS = 1_000_000
 Route = tuple[str, str, tuple[int, ...]]

@@ -13,8 +13,7 @@ from missionsim.inputs.check_task import earlier_of
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.bounds import matrix
-from missionsim.planner.orders import Order
-from missionsim.planner.site import Site
+from missionsim.planner.site import Order, Site
 
 STARTS = 4
 MOST_LOADS = 40

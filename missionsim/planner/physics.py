@@ -18,8 +18,7 @@ from missionsim.inputs.task import TaskSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
-from missionsim.plan.legs import Leg, Phase, Settings
-from missionsim.plan.steady import LONG_AGO_S, units_on
+from missionsim.plan.legs import LONG_AGO_S, Leg, Phase, Settings, units_on
 
 
 class Physics:

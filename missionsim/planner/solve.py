@@ -15,8 +15,7 @@ from missionsim.planner.bounds import best_prices, bounds_of, in_time, prices_ah
 from missionsim.planner.chains import within
 from missionsim.planner.core import Label, Outcome, quick, search
 from missionsim.planner.large import MORE_VALUE, solve_large
-from missionsim.planner.orders import MOST_FREE, Order
-from missionsim.planner.site import Site
+from missionsim.planner.site import MOST_FREE, Order, Site
 from missionsim.planner.tour import Fronts, Tour
 
 Watch = Callable[[str, float, float], bool]

@@ -15,8 +15,7 @@ from missionsim.inputs.values import Parameter
 from missionsim.numerals import in_wh, rounded
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, Leg
-from missionsim.planner.orders import MOST_FREE, Order
-from missionsim.planner.site import Site, make_site
+from missionsim.planner.site import MOST_FREE, Order, Site, make_site
 from missionsim.planner.solve import solve_site
 
 AMPLE_WH = 1e5

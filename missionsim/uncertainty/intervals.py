@@ -25,8 +25,7 @@ from missionsim.engine.recorder import REST
 from missionsim.engine.simulate import RunSetup
 from missionsim.files import grouped
 from missionsim.physics import Array, Value
-from missionsim.plan.legs import Leg, Phase, Plan
-from missionsim.plan.steady import covariates_of, table
+from missionsim.plan.legs import Leg, Phase, Plan, covariates_of, table
 
 _RATE = "d/dt "
 PROGRESS_POINTS = 21
