@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.files import Json
 from missionsim.identify.proposed import Proposal, Record
+from missionsim.identify.settings import HIDES, WIDE
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -134,7 +135,11 @@ class Finding:
         sizes = [(one.low, one.high) for one in every if one.unit == every[0].unit]
         nought = self.may_be_nothing and all(low <= 0.0 <= high for low, high in sizes)
         small = "with what its form may err by, its 95 % interval holds nought" if nought else ""
-        return "; ".join(filter(None, (self.remark, self.leans, small)))
+        wide = ""
+        if not small and self.absorbed > HIDES and self.share_high > WIDE * max(self.share_low, 0.0):
+            low, high = (f"{100 * share:.1f}" for share in (max(self.share_low, 0.0), self.share_high))
+            wide = f"it may take {low} to {high} % of the energy: the base pays most of it already"
+        return "; ".join(filter(None, (self.remark, self.leans, small, wide)))
 
     def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""

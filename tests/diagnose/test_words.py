@@ -316,6 +316,20 @@ def test_an_effect_whose_interval_holds_nought_may_be_there(
     assert ("that may be payload" in words.headline(replace(BATTERY, effects=(GRADE, small)))) is doubted
 
 
+@pytest.mark.parametrize(
+    ("low", "absorbed", "doubted"), [(0.05, 0.99, True), (-0.01, 0.99, True), (0.05, 0.3, False), (0.2, 0.99, False)]
+)
+def test_an_effect_that_the_base_pays_already_may_be_there(low: float, absorbed: float, doubted: bool) -> None:
+    """Copper loss of 36 % (5 to 67) of the energy was told as sure: inertia was hidden, and its constant part was the
+    base's own."""
+    sized = {"k": Estimate(0.26, 0.18, 0.35, "W/N^2"), "rolling": Estimate(0.185, 0.12, 0.29, "1")}
+    one = replace(
+        PAYLOAD, indistinguishable_from=(), share_low=low, share_high=0.67, absorbed=absorbed, parameters=sized
+    )
+    assert ("the base pays most of it already" in one.doubt) is doubted
+    assert ("that may be payload" in words.headline(replace(BATTERY, effects=(GRADE, one)))) is doubted
+
+
 def test_several_effects_go_in_together_and_options_stay() -> None:
     asked = sentences.Asked("own.yaml", ["logs"], "--holdout later")
     alone = sentences.next_step(BATTERY, asked)
