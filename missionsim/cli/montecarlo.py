@@ -21,8 +21,8 @@ from missionsim.numerals import counted
 from missionsim.report.figures_run import write_batch_figures
 from missionsim.report.terminal import console, show_table
 from missionsim.results.write import write_results
+from missionsim.uncertainty.answers import refuse_correlated
 from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Prepared, Task, answer_batch, prepare
-from missionsim.uncertainty.importance import refuse_correlated
 from missionsim.uncertainty.single import FAILED, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 

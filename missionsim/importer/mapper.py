@@ -13,8 +13,8 @@ from missionsim.expressions import Expression, compile_expression
 from missionsim.glossary import column_of
 from missionsim.importer import transform
 from missionsim.importer.roles import to_glossary
-from missionsim.inputs.checker import Checker
 from missionsim.inputs.log_map import ColumnMap, MapSpec
+from missionsim.inputs.validation import Checker
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark, numbers_of
 from missionsim.logs.times import TimeError, read_stamps

@@ -12,7 +12,6 @@ import numpy as np
 
 from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
-from missionsim.inputs.checker import Checker
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter, uncertain_values
@@ -20,6 +19,7 @@ from missionsim.inputs.power import build_power_model, strange_floors
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import every_segment, flat_segments
 from missionsim.inputs.tree import Document, Where
+from missionsim.inputs.validation import Checker
 
 _DECIDED = {"time_s", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s", "slope_rad", "payload_kg"}
 _DECIDED |= {"surface", "scheme", "navigation", "segment", "x_m", "y_m", "heading_rad"}

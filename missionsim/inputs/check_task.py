@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from missionsim.errors import Fault
-from missionsim.inputs.checker import Checker
 from missionsim.inputs.power import strange_floors
 from missionsim.inputs.task import SpeedRange, TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.tree import Where
+from missionsim.inputs.validation import Checker
 
 
 def check_task(task: TaskSpec) -> list[Fault]:

@@ -16,10 +16,9 @@ from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Prices, best_prices, bounds_of, cheapest, matrix, rest_of, slack_of
 from missionsim.planner.core import Label, Leaving, Outcome, chain_of, quick, search
 from missionsim.planner.drives import Drives
-from missionsim.planner.large import orders
 from missionsim.planner.pieces import Road, State
 from missionsim.planner.site import MOST_FREE, Order, Site, make_site
-from missionsim.planner.solve import FIRST_GAP, Watch, charges_tried, solve_site
+from missionsim.planner.solve import FIRST_GAP, Watch, charges_tried, orders, solve_site
 from missionsim.planner.tour import PATIENCE, Fronts, Tour
 
 MOST_ROUNDS = 1000

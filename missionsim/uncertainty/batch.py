@@ -191,7 +191,7 @@ def answer_batch(
     block that is done; `on_damaged`: the first runs of blocks that are computed again. Gives the answer, and the first
     runs of the blocks that count, in order.
     """
-    from missionsim.uncertainty.importance import affordable_samples, sobol_importance
+    from missionsim.uncertainty.answers import affordable_samples, sobol_importance
 
     prepared = prepare(task)
     with store.locked():

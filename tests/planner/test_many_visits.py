@@ -12,9 +12,8 @@ import yaml
 
 from missionsim.cli.app import run_command
 from missionsim.inputs.loading import load_task
-from missionsim.planner.large import solve_large
 from missionsim.planner.site import make_site
-from missionsim.planner.solve import solve_site
+from missionsim.planner.solve import solve_large, solve_site
 
 
 def test_twenty_visits_within_a_said_gap(root: Path, tmp_path: Path) -> None:
@@ -77,7 +76,7 @@ def test_bounds_of_many_visits_hold_with_values_and_loads(root: Path, seed: int)
     changes = [("visits", visits), ("within.deadline", f"{rng.integers(6, 12)} min"), ("choose.speeds", [0.6, 1.0])]
     site = make_site(load_task(root / "missions/planning/inspection.yaml", changes))
     exact = solve_site(site)
-    found = solve_large(site, solve_site)
+    found = solve_large(site)
     assert exact.feasible
     assert found.feasible
     assert found.value <= exact.value <= found.extra["value_at_most"] + 1e-9

@@ -15,8 +15,8 @@ import pytest
 
 from missionsim.inputs.loading import load_task
 from missionsim.planner.bounds import matrix, rest_of
-from missionsim.planner.large import orders
 from missionsim.planner.site import make_site
+from missionsim.planner.solve import orders
 from tests.planner.large import large_task
 from tests.planner.test_core_frvcp import _Route
 from tests.planner.test_core_rcsp import _Graph, _solve

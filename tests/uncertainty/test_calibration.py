@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from missionsim.uncertainty.answers import LEVEL, capacity_needed, describe, proportion_interval
+from missionsim.uncertainty.answers import (
+    CHANCE,
+    LEVEL,
+    capacity_needed,
+    describe,
+    proportion_interval,
+    sobol_importance,
+)
 from missionsim.uncertainty.batch import Prepared, Task, paired_difference, prepare
-from missionsim.uncertainty.importance import CHANCE, sobol_importance
 
 REPETITIONS, RUNS = 250, 500
 LEAST, MOST = 0.92, 0.98
