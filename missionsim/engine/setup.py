@@ -16,7 +16,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
-from missionsim.inputs.values import Parameter
+from missionsim.inputs.parameter import Parameter
 from missionsim.labels import Labels
 from missionsim.numerals import rounded
 from missionsim.physics import Array

@@ -22,9 +22,9 @@ from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.mission import MissionSpec, reserve_of
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import DockSegment, RechargeSpec
-from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of, make_plan
 from missionsim.plan.kinematics import group

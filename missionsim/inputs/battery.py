@@ -8,14 +8,15 @@ from pydantic import BeforeValidator, Field
 
 from missionsim.inputs import units, values
 from missionsim.inputs.base import Model, alone, check_rising, wrong
-from missionsim.inputs.values import Parameter, QuantityOf
+from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.values import QuantityOf
 
 
 class _CapacityOf(QuantityOf):
     """Energy, or charge when the text is in Ah (converted with the nominal voltage by `BatterySpec`)."""
 
-    def _allowed(self) -> str:
-        return f"{super()._allowed()}, or a charge such as 20 Ah (with nominal_voltage)"
+    def allowed(self) -> str:
+        return f"{super().allowed()}, or a charge such as 20 Ah (with nominal_voltage)"
 
     def _number(self, raw: Any, unit: str = "") -> tuple[float, str]:
         if isinstance(raw, str) and (parts := units.split(raw)) and parts[1]:

@@ -8,11 +8,11 @@ from graphlib import CycleError, TopologicalSorter
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.robot import RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Where
 from missionsim.inputs.units import same_dimension
 from missionsim.inputs.validation import Checker
-from missionsim.inputs.values import Parameter
 
 
 def check_robot(robot: RobotSpec) -> list[Fault]:

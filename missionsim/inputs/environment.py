@@ -13,9 +13,9 @@ from missionsim.errors import Fault
 from missionsim.files import grouped
 from missionsim.inputs import values
 from missionsim.inputs.base import DescribedFile, Identifier, Model, Name, Text, wrong
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.tree import Where
 from missionsim.inputs.validation import Checker
-from missionsim.inputs.values import Parameter
 
 _ROUNDING = 1e-3
 """Lengths may be this much (relative) below the straight distance: maps are rounded."""

@@ -8,7 +8,8 @@ from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.inputs.base import FileModel, Model, Name, Text, alone
-from missionsim.inputs.values import AnyNumber, Parameter, Period, QuantityOf
+from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.values import AnyNumber, Period, QuantityOf
 from missionsim.logs.raw import MEASURED, measured_batteries
 
 Formula = Annotated[

@@ -9,9 +9,10 @@ from pydantic import BeforeValidator, Discriminator, Field, JsonValue, Tag
 from missionsim.errors import Fault
 from missionsim.inputs.base import Count, DescribedFile, FileModel, Identifier, Model, Name, Text, alone, wrong
 from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.robot import BehaviourSpec, RobotSpec
 from missionsim.inputs.segments import DefaultSpec, Segment, SegmentSpec
-from missionsim.inputs.values import Angle, Duration, Fraction, Parameter, Period
+from missionsim.inputs.values import Angle, Duration, Fraction, Period
 
 
 class AnchorSpec(Model):

@@ -18,10 +18,10 @@ from missionsim.effects.named_models import get_motion_model, law_models
 from missionsim.errors import Fault, did_you_mean
 from missionsim.expressions import Place, compile_expression
 from missionsim.inputs.mission import RobotAtSite
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
 from missionsim.inputs.segments import SegmentSpec
 from missionsim.inputs.tree import Document, Where
-from missionsim.inputs.values import Parameter
 from missionsim.physics.lag import Meter
 from missionsim.runs.covariates import MOTION
 

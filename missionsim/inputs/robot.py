@@ -23,7 +23,7 @@ from missionsim.inputs.base import (
     wrong,
 )
 from missionsim.inputs.battery import BatterySpec
-from missionsim.inputs.values import Parameter
+from missionsim.inputs.parameter import Parameter
 
 
 class LawSpec(Model):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,9 +16,11 @@ from missionsim.effects.named_models import get_motion_model, law_models, motion
 from missionsim.errors import InputError
 from missionsim.inputs import units
 from missionsim.inputs.loading import KINDS, model_of
+from missionsim.inputs.parameter import STATUSES
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import SEGMENT_KINDS
 from missionsim.inputs.tree import read_document
+from missionsim.inputs.values import DRAWN, QuantityOf
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -120,6 +123,36 @@ def unit_pattern(dimension: str, percent: bool = False) -> str:
     )
     composed = rf"(?!(?:{others})\s*$)[A-Za-zµΩ°%][^\s*/^·]*\s*[*/^· ]\s*\S.*"
     return rf"{_NUMBER}\s*({listed}|{composed})?\s*$"
+
+
+def quantity_schema(of: QuantityOf) -> Schema:
+    """The forms in which a number of this kind may stand in a file."""
+    text = {"type": "string", "pattern": unit_pattern(of.dimension, of.percent_slope)}
+    number: dict[str, Any] = {"type": "number", "description": "in SI"}
+    if of.dimension:
+        dimension = units.DIMENSIONS[of.dimension]
+        number["description"] = f"in {dimension.plain}"
+        factor = dimension.plain_to_si(1.0)
+        if math.isfinite(of.low) and not of.percent_slope:
+            number["exclusiveMinimum" if of.strict_low else "minimum"] = of.low / factor
+        if math.isfinite(of.high) and not of.percent_slope:
+            number["exclusiveMaximum" if of.strict_high else "maximum"] = of.high / factor
+    part: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": unit_pattern("")}]}
+    word, only = {"type": "string"}, {"type": "object", "additionalProperties": False}
+    drawn: dict[str, Any] = {"kind": {"enum": list(DRAWN)}}
+    drawn |= dict.fromkeys(("mean", "sd", "low", "high", "mode"), part)
+    drawn |= {"values": {"type": "array", "items": part}}
+    drawn |= {"weights": {"type": "array", "items": {"type": "number", "minimum": 0}}, "file": word, "column": word}
+    given: dict[str, Any] = dict.fromkeys(("value", "sd", "low", "high"), part)
+    given |= {"distribution": {**only, "required": ["kind"], "properties": drawn}, "unit": word}
+    given |= {"status": {"enum": list(STATUSES)}, "source": word, "note": word}
+    told = "an uncertain number, or one with its status and source"
+    mapping = {"x-quantity": "mapping", "description": told, **only, "properties": given}
+    kind = "slope" if of.percent_slope else of.dimension or "any number"
+    last = f"{'below' if of.strict_high else 'to'} {of.high:g}"
+    ends = [f"from {of.low:g}"] * math.isfinite(of.low) + [last] * math.isfinite(of.high)
+    label = " ".join([kind, *(["above"] if of.strict_low else []), *ends])
+    return {"x-quantity": label, "description": of.allowed(), "anyOf": [number, text, mapping]}
 
 
 def add_descriptions(name: str, definition: Schema, definitions: dict[str, Schema]) -> None:

@@ -9,9 +9,9 @@ from pydantic_core import core_schema
 from missionsim.errors import did_you_mean
 from missionsim.inputs import values
 from missionsim.inputs.base import Identifier, Model, Name, Sensors, either, wrong
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.robot import BehaviourSpec
 from missionsim.inputs.tree import as_written
-from missionsim.inputs.values import Parameter
 
 Profile = Literal["trapezoidal", "constant_speed"]
 

@@ -11,7 +11,8 @@ from missionsim.inputs.base import Identifier, Model, Name, Sensors, Text, alone
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import Reserve, RobotAtSite, reserve_of
 from missionsim.inputs.overrides import ROOTS, route
-from missionsim.inputs.values import Duration, Fraction, Mass, Parameter, Period, Share, Speed
+from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.values import Duration, Fraction, Mass, Period, Share, Speed
 
 Weight = Annotated[float, Field(strict=False, ge=0.0, le=1e6)]
 Places = Annotated[tuple[Name, ...], BeforeValidator(lambda raw: [raw] if isinstance(raw, (str, int)) else raw)]

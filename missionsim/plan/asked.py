@@ -10,8 +10,8 @@ import numpy as np
 
 from missionsim.errors import Fault, InputError, MissionsimError
 from missionsim.inputs.mission import ActivitySpec, MissionSpec
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.segments import DockSegment, RepeatSegment, SegmentSpec
-from missionsim.inputs.values import Parameter
 from missionsim.plan.legs import Activity, Leg, Limits, Odd, Pace, Recharge, Settings, Trigger, least
 
 MOST_OBSTACLES = 10_000

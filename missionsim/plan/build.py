@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import (
     ArcSegment,
@@ -23,7 +24,6 @@ from missionsim.inputs.segments import (
     TurnSegment,
     WaitSegment,
 )
-from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
 from missionsim.plan.kinematics import group

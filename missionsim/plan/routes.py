@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
-from missionsim.inputs.values import Parameter
+from missionsim.inputs.parameter import Parameter
 from missionsim.plan.legs import Settings, least
 
 _ROUNDING = 1e-12

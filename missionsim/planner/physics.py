@@ -12,10 +12,10 @@ from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
 from missionsim.inputs.mission import MissionBehaviour, MissionSpec, PolicySpec
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import WaitSegment
 from missionsim.inputs.task import TaskSpec
-from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import LONG_AGO_S, Leg, Phase, Settings, units_on

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import grouped
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.segments import DriveSegment
 from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec, speeds_of
-from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of
 from missionsim.plan.kinematics import Phases, ramp_phases

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.inputs.check_task import earlier_of
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
 from missionsim.inputs.task import TaskSpec
-from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of
 from missionsim.planner.drives import Drives

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from missionsim.files import Json
+from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.task import TaskSpec
-from missionsim.inputs.values import Parameter
 from missionsim.numerals import in_wh, rounded
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, Leg
