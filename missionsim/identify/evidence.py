@@ -172,20 +172,21 @@ def _chance_of_jackknife(t: float, leverage: Array, inflation: Array, known: flo
     return float(0.5 * WEIGHT @ np.exp(-0.5 * (np.log(parts).sum(axis=1) + log_rest + ratio * known)))
 
 
-def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float]:
-    """Whether runs left out of a least-squares fit are predicted better with some columns than without them.
+def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[float, float]:
+    """How well runs left out of a least-squares fit are predicted with some columns, against without them.
 
     Returns
     -------
-    bool
-        Whether their squared power error is smaller.
+    float
+        Part of their squared power error that is left.
     float
         One-sided p-value, over runs, of "their energy error is hardly larger".
     """
     squares = LeastSquares.of(model.design)
     rest = [c for c in model.chosen if c not in columns]
     with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)
-    return with_it.total < without.total, squares.energy_no_worse(rest, without, model.chosen, with_it, WORSE_ENERGY)
+    left = with_it.total / max(without.total, 1e-300)
+    return left, squares.energy_no_worse(rest, without, model.chosen, with_it, WORSE_ENERGY)
 
 
 def cause_is_constant(model: Model, column: int) -> bool:

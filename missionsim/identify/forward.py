@@ -349,7 +349,7 @@ class _Search:
             "robust": p_value < max(family, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
             "energy": squares.energy_no_worse(beside, before, chosen, after, WORSE_ENERGY) > WORSE_ENERGY_LEVEL,
             "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
-            "practical": float(np.abs(shares).sum()) > self.settings.min_share,
+            "practical": halved or float(np.abs(shares).sum()) > self.settings.min_share,
             "beyond recalibration": beyond,
         }
         if logged:

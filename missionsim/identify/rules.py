@@ -21,7 +21,7 @@ from missionsim.identify.evidence import (
 from missionsim.identify.findings import Structure
 from missionsim.identify.model import Model
 from missionsim.identify.residual import stands_without
-from missionsim.identify.settings import FAINT_NATS, WORSE_ENERGY_LEVEL
+from missionsim.identify.settings import FAINT_NATS, HALVED, WORSE_ENERGY_LEVEL
 
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
 """The mean of a load that comes and goes looks like one of these."""
@@ -48,7 +48,7 @@ def gates(model: Model, evidence: Evidence) -> dict[str, bool]:
     return {
         "likelihood": evidence.gain > nats_needed(tail),
         "robust": evidence.p_robust < 2.0 * tail,
-        "practical": abs(evidence.share) > settings.min_share,
+        "practical": abs(evidence.share) > settings.min_share or _of_left_out(model, column)[0] < HALVED,
         "clock": runs > 1 or not model.constraints.of_column(column).by_clock,
         "several runs": not one_each or not rests_on_one_run(model, column),
         # NaN for effects without a twin in the base
@@ -58,9 +58,14 @@ def gates(model: Model, evidence: Evidence) -> dict[str, bool]:
 
 def last_gates(model: Model, evidence: Evidence) -> dict[str, bool]:
     """Asked of the final model: what does not predict runs that it has not seen is of no use in a robot file."""
-    own, _ = model.constraints.split(model.chosen, model.constraints.effect[evidence.column])
-    power, energy_p = predicts_left_out(model, own)
-    return {"runs": power, "energy": energy_p > WORSE_ENERGY_LEVEL}
+    left, energy_p = _of_left_out(model, evidence.column)
+    return {"runs": left < 1.0, "energy": energy_p > WORSE_ENERGY_LEVEL}
+
+
+def _of_left_out(model: Model, column: int) -> tuple[float, float]:
+    """What `predicts_left_out` gives for all columns of a column's effect."""
+    own, _ = model.constraints.split(model.chosen, model.constraints.effect[column])
+    return predicts_left_out(model, own)
 
 
 def weighed(model: Model, columns: Sequence[int]) -> dict[int, Evidence]:

@@ -67,12 +67,20 @@ def test_a_clear_effect_passes_every_gate(grade: Question) -> None:
     assert all(passed(grade).values())
 
 
-@pytest.mark.parametrize(
-    ("gate", "change"), [("likelihood", {"gain": 5.0}), ("robust", {"p_robust": 1e-3}), ("practical", {"share": 0.006})]
-)
+@pytest.mark.parametrize(("gate", "change"), [("likelihood", {"gain": 5.0}), ("robust", {"p_robust": 1e-3})])
 def test_each_gate_alone_keeps_an_effect_out(grade: Question, gate: str, change: dict[str, float]) -> None:
     answers = passed(replace(grade, evidence=replace(grade.evidence, **change)))
     assert {name for name, held in answers.items() if not held} == {gate}
+
+
+@pytest.mark.parametrize(("share", "left", "holds"), [(0.006, 0.6, False), (0.006, 0.4, True), (0.007, 0.6, True)])
+def test_a_small_effect_is_practical_where_it_halves_the_error_of_left_out_runs(
+    grade: Question, share: float, left: float, holds: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Inertia of 0.6 % of the energy, in short pulses that were 61 % of the squared error, was negligible."""
+    monkeypatch.setattr("missionsim.identify.rules.predicts_left_out", lambda _model, _columns: (left, 1.0))
+    answers = passed(replace(grade, evidence=replace(grade.evidence, share=share)))
+    assert {name for name, held in answers.items() if not held} == ({"practical"} if not holds else set())
 
 
 def test_the_level_is_that_of_all_effects_together_in_the_tail_that_physics_allows(grade: Question) -> None:
@@ -249,9 +257,9 @@ def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
         for j, run in enumerate(runs)
     ]
     found = fit_effects(turned, library(), ["grade"], {})
-    assert not predicts_left_out(found.choice.model, found.choice.model.chosen)[0]
+    assert predicts_left_out(found.choice.model, found.choice.model.chosen)[0] > 1.0
     assert passed(question(found))["runs"] is False
-    assert predicts_left_out(fitted("grade", 0.03).choice.model, fitted("grade", 0.03).choice.model.chosen)[0]
+    assert predicts_left_out(fitted("grade", 0.03).choice.model, fitted("grade", 0.03).choice.model.chosen)[0] < 1.0
 
 
 def test_gates_are_asked_again_after_the_shape_was_refitted(monkeypatch: pytest.MonkeyPatch) -> None:

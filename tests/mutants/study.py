@@ -174,7 +174,7 @@ MUTANTS = [
         ("abs(evidence.share) > settings.min_share", "True"),
         ("not one_each or not rests_on_one_run(model, column)", "True"),
         ("not abs(shift) <= settings.recalibration_limit", "True"),
-        ('"runs": power', '"runs": True'),
+        ('"runs": left < 1.0', '"runs": True'),
         ("if column in forms:", "if False:"),
         ('if candidate.effect.partition(":")[0] in STEADY_LOADS:', "if False:"),
         ("if any(not stands_without(model, column, s) for s in others):", "if False:"),
