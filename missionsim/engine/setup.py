@@ -14,9 +14,9 @@ from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircu
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
-from missionsim.inputs.battery import BatterySpec
-from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.robot import BatterySpec
+from missionsim.inputs.robot import EquivalentCircuit as CircuitSpec
 from missionsim.labels import Labels
 from missionsim.numerals import rounded
 from missionsim.physics import Array

@@ -20,10 +20,10 @@ from missionsim.engine.reserve import Homing, home_energies
 from missionsim.engine.setup import build_battery, check_covariates, doubts, split_values
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
-from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.mission import MissionSpec, reserve_of
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.power import build_power_model
+from missionsim.inputs.robot import BatterySpec
 from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of, make_plan

@@ -6,10 +6,20 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    StringConstraints,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from missionsim.errors import Fault, did_you_mean
+from missionsim.glossary import COLUMNS, column_of
 from missionsim.inputs.tree import Document, Node, as_written
 
 Name = Annotated[
@@ -60,6 +70,34 @@ def check_rising(values: list[float], message: str, allowed: str, *at: str) -> N
     """Refuse values that do not increase."""
     if any(later <= earlier for earlier, later in pairwise(values)):
         raise wrong(message, values, allowed, *at)
+
+
+def _ranges(origin: dict[str, JsonValue]) -> dict[str, JsonValue]:
+    """What `origin` says of the logs: least and greatest values, names of floors."""
+    ranges = origin.get("range", {})
+    if not isinstance(ranges, dict):
+        raise wrong("must be a mapping", ranges, "{speed_m_s: [0, 1.2], surface: [tiles]}", "range")
+    faults: list[dict[str, object]] = []
+    for name, limits in ranges.items():
+        listed = limits if isinstance(limits, list) else []
+        numbers = [float(x) for x in listed if isinstance(x, int | float) and not isinstance(x, bool)]
+        fault: dict[str, object] = {"got": str(limits), "hint": "", "at": ("range", name)}
+        if name == "surface":
+            if not listed or not all(isinstance(text, str) for text in listed):
+                faults.append(fault | {"message": "must be the names of floors", "allowed": "[tiles, carpet]"})
+        elif column_of(name) is None:
+            known = [column.name for column in COLUMNS]
+            told_as = {"message": "no quantity of the glossary", "got": name, "allowed": "columns of logs, surface"}
+            faults.append(fault | told_as | {"hint": did_you_mean(name, known)})
+        elif len(numbers) != 2 or len(listed) != 2 or numbers[0] > numbers[1]:
+            allowed = "two numbers in the unit of the name, such as [0, 1.2]"
+            faults.append(fault | {"message": "must be the least and the greatest value", "allowed": allowed})
+    if faults:
+        raise told(faults)
+    return origin
+
+
+Origin = Annotated[dict[str, JsonValue], AfterValidator(_ranges)]
 
 
 def alone(key: str, *kinds: type) -> Callable[[object], object]:

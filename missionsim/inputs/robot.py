@@ -1,29 +1,166 @@
 """The robot file: body, batteries, components, motion, control schemes and effects."""
 
+import contextlib
 import itertools
 from dataclasses import replace
-from typing import Annotated, Literal
+from itertools import pairwise
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, JsonValue
+from pydantic import BeforeValidator, Field, JsonValue
 
-from missionsim.errors import Fault, did_you_mean
-from missionsim.glossary import COLUMNS, column_of
-from missionsim.inputs import values
+from missionsim.errors import Fault
+from missionsim.inputs import units, values
 from missionsim.inputs.base import (
     DescribedFile,
     Expression,
     Identifier,
     Model,
     Name,
+    Origin,
     ParameterName,
     Sensors,
     Text,
+    alone,
+    check_rising,
     either,
-    told,
     wrong,
 )
-from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.values import QuantityOf
+
+
+class _CapacityOf(QuantityOf):
+    """Energy, or charge when the text is in Ah (converted with the nominal voltage by `BatterySpec`)."""
+
+    def allowed(self) -> str:
+        return f"{super().allowed()}, or a charge such as 20 Ah (with nominal_voltage)"
+
+    def _number(self, raw: Any, unit: str = "") -> tuple[float, str]:
+        if isinstance(raw, str) and (parts := units.split(raw)) and parts[1]:
+            with contextlib.suppress(units.UnitError):
+                value, _ = units.parse(raw, "charge")
+                if value <= 0:
+                    raise wrong("impossible value", f"'{raw}'", "more than 0")
+                return value, "C"
+        return super()._number(raw, unit)
+
+
+Capacity = Annotated[Parameter, _CapacityOf("energy", 0.0, 1e12, strict_low=True)]
+
+
+class ConstantEnergy(Model):
+    """The papers' battery: a store of energy, times an ageing factor."""
+
+    kind: Literal["constant_energy"] = "constant_energy"
+    ageing: values.Efficiency = Parameter(1.0)
+
+
+class EquivalentCircuit(Model):
+    """Open-circuit voltage over the state of charge, internal resistance, Peukert's law, ageing, cut-off."""
+
+    kind: Literal["equivalent_circuit"]
+    open_circuit_voltage: Annotated[
+        tuple[tuple[values.Fraction, values.Voltage], ...], Field(min_length=2, max_length=1000)
+    ]
+    resistance: values.Resistance
+    peukert: values.Peukert = Parameter(1.0)
+    rated_time: values.Period = Parameter(20 * 3600.0, unit="s")
+    ageing: values.Efficiency = Parameter(1.0)
+    cut_off: values.Voltage | None = None
+
+    def _check(self) -> None:
+        charges = [point[0].value for point in self.open_circuit_voltage]
+        voltages = [point[1].value for point in self.open_circuit_voltage]
+        check_rising(charges, "states of charge must increase", "0 … 1 in order", "open_circuit_voltage")
+        if charges[0] != 0.0 or charges[-1] != 1.0:
+            raise wrong("the curve must run from 0 to 1", charges, "first 0, last 1", "open_circuit_voltage")
+        if any(later < earlier for earlier, later in pairwise(voltages)):
+            raise wrong("voltages must not fall with charge", voltages, "rising voltages", "open_circuit_voltage")
+        if self.cut_off is not None and self.cut_off.value >= voltages[-1]:
+            allowed = f"below {voltages[-1]:g} V"
+            raise wrong("cut-off above the full battery's voltage", self.cut_off.value, allowed, "cut_off")
+
+
+BatteryModel = Annotated[
+    Annotated[ConstantEnergy | EquivalentCircuit, Field(discriminator="kind")],
+    BeforeValidator(alone("kind", str), json_schema_input_type=str | ConstantEnergy | EquivalentCircuit),
+]
+
+
+class TaperSpec(Model):
+    """Constant current up to a charge, then constant voltage: the power into the battery falls to a part when full."""
+
+    from_: values.Fraction = Field(alias="from")
+    end_power: values.Efficiency
+
+    def _check(self) -> None:
+        if self.from_.value >= 1.0:
+            raise wrong("a taper that begins when the battery is full", "100 %", "from: 80 %", "from")
+
+
+Lateness = Annotated[Parameter, QuantityOf("duration", -60.0, 60.0)]
+Lag = Annotated[Parameter, QuantityOf("duration", 0.0, 60.0)]
+
+
+class MeterSpec(Model):
+    """How far the power in logs is behind the motion in them: a delay (negative: ahead) and a first-order lag."""
+
+    delay: Lateness = Parameter(0.0, unit="s")
+    lag: Lag = Parameter(0.0, unit="s")
+
+
+Relative = Annotated[Parameter, QuantityOf("fraction", 0.0, 100.0, strict_low=True)]
+Curve = Annotated[tuple[tuple[values.Temperature, Relative], ...], Field(min_length=2, max_length=1000)]
+
+
+class TemperatureSpec(Model):
+    """Capacity and resistance over the ambient temperature, relative to what the file gives; flat beyond the ends."""
+
+    capacity: Curve | None = None
+    resistance: Curve | None = None
+
+    def _check(self) -> None:
+        for key in ("capacity", "resistance"):
+            degrees = [point[0].value for point in getattr(self, key) or ()]
+            check_rising(degrees, "temperatures must increase", "[[0 degC, 80 %], [25 degC, 100 %]]", key)
+
+
+class BatterySpec(Model):
+    """One battery. `capacity` is in J, or in C where the file gives Ah: use `capacity_j`."""
+
+    capacity: Capacity
+    nominal_voltage: values.Voltage | None = None
+    reserve: values.Fraction = Parameter(0.0, status="assumed")
+    initial_charge: values.Fraction = Parameter(1.0, status="assumed")
+    model: BatteryModel = ConstantEnergy.model_construct()
+    max_charge_power: values.Power | None = None
+    charge_efficiency: values.Efficiency = Parameter(1.0, status="assumed")
+    charge_taper: TaperSpec | None = None
+    over_temperature: TemperatureSpec | None = None
+    meter: MeterSpec | None = None
+
+    def _check(self) -> None:
+        if self.nominal_voltage is None and self.capacity.unit == "C":
+            message, allowed = "a capacity in Ah needs nominal_voltage", "nominal_voltage: 14.8 V"
+            raise wrong(message, "no nominal_voltage", allowed, "capacity")
+
+    @property
+    def capacity_j(self) -> float:
+        """Capacity when new, J."""
+        factor = self.nominal_voltage.value if self.capacity.unit == "C" and self.nominal_voltage else 1.0
+        return self.capacity.value * factor
+
+    @property
+    def capacity_wh(self) -> float:
+        """Capacity when new, Wh."""
+        return self.capacity_j / 3600.0
+
+    @property
+    def capacity_c(self) -> float | None:
+        """Capacity when new as charge, C (A s); None where the nominal voltage is unknown."""
+        if self.capacity.unit == "C":
+            return self.capacity.value
+        return self.capacity.value / self.nominal_voltage.value if self.nominal_voltage else None
 
 
 class LawSpec(Model):
@@ -196,34 +333,6 @@ class MotionSpec(Model):
             raise wrong(
                 "'power' belongs to motion model 'expression'", f"model: {self.model}", "model: expression", "power"
             )
-
-
-def _ranges(origin: dict[str, JsonValue]) -> dict[str, JsonValue]:
-    """What `origin` says of the logs: least and greatest values, names of floors."""
-    ranges = origin.get("range", {})
-    if not isinstance(ranges, dict):
-        raise wrong("must be a mapping", ranges, "{speed_m_s: [0, 1.2], surface: [tiles]}", "range")
-    faults: list[dict[str, object]] = []
-    for name, limits in ranges.items():
-        listed = limits if isinstance(limits, list) else []
-        numbers = [float(x) for x in listed if isinstance(x, int | float) and not isinstance(x, bool)]
-        fault: dict[str, object] = {"got": str(limits), "hint": "", "at": ("range", name)}
-        if name == "surface":
-            if not listed or not all(isinstance(text, str) for text in listed):
-                faults.append(fault | {"message": "must be the names of floors", "allowed": "[tiles, carpet]"})
-        elif column_of(name) is None:
-            known = [column.name for column in COLUMNS]
-            told_as = {"message": "no quantity of the glossary", "got": name, "allowed": "columns of logs, surface"}
-            faults.append(fault | told_as | {"hint": did_you_mean(name, known)})
-        elif len(numbers) != 2 or len(listed) != 2 or numbers[0] > numbers[1]:
-            allowed = "two numbers in the unit of the name, such as [0, 1.2]"
-            faults.append(fault | {"message": "must be the least and the greatest value", "allowed": allowed})
-    if faults:
-        raise told(faults)
-    return origin
-
-
-Origin = Annotated[dict[str, JsonValue], AfterValidator(_ranges)]
 
 
 class EffectSpec(Model):
