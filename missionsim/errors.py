@@ -93,17 +93,8 @@ class InputError(MissionsimError):
 
 
 def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:
-    """Closest known name, or an empty string.
-
-    Parameters
-    ----------
-    word : str
-        What came.
-    known : iterable of str
-        What is allowed.
-    cutoff : float
-        Similarity from 0 to 1 below which nothing is suggested.
-    """
+    """The known name closest to a word, or an empty string. `cutoff`: similarity from 0 to 1 below which nothing is
+    suggested."""
     names = list(known)
     found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
     if not found:

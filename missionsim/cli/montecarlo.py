@@ -23,7 +23,7 @@ from missionsim.report.terminal import console, show_table
 from missionsim.results.write import write_results
 from missionsim.uncertainty.answers import refuse_correlated
 from missionsim.uncertainty.batch import MOST_RUNS, MOST_WORKERS, Prepared, Task, answer_batch, prepare
-from missionsim.uncertainty.single import FAILED, simulate_run, unread_values
+from missionsim.uncertainty.draws import FAILED, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
 RESUMABLE = 130

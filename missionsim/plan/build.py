@@ -55,26 +55,12 @@ def make_plan(
 ) -> Plan:
     """The plan of a mission.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-        With its robot and environment.
-    numbers : mapping, optional
-        Values that differ from the files', by path: the mission's own (``segments.0.drive.speed``), and with prefix
-        ``robot.`` or ``environment.`` those of the other files.
-    rng : numpy.random.Generator, optional
-        Draws obstacles, failed relocalisations and inspections that are repeated; without it there are none.
-    rounds : mapping of int to int, optional
-        How often blocks are driven that are repeated until a time, by their number; without it as often as could be
-        if nothing took longer than planned.
+    `numbers`: values that differ from the files', by path: the mission's own (``segments.0.drive.speed``), and with
+    prefix ``robot.`` or ``environment.`` those of the other files. `rng`: draws obstacles, failed relocalisations and
+    inspections that are repeated; without it there are none. `rounds`: how often blocks are driven that are repeated
+    until a time, by their number; without it as often as could be if nothing took longer than planned. Raises
+    InputError: where the mission cannot be driven: no way, no place, no speed, no charger.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where the mission cannot be driven: no way, no place, no speed, no charger.
-
-    Notes
-    -----
     Behaviour applies here: `path_stretch` multiplies distances, `speed_tracking` speeds, `dwell` adds standing time at
     the end of a segment that moves. The most specific wins, value by value: the segment's own, the mission's for its
     scheme, the mission's, the defaults', the robot's for that scheme.

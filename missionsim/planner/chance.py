@@ -27,7 +27,7 @@ from missionsim.planner.site import Site, make_site
 from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, WIDE, Watch, solve_site
 from missionsim.uncertainty.answers import proportion_interval
 from missionsim.uncertainty.batch import Task, compute_block, prepare
-from missionsim.uncertainty.single import row_of, simulate_block
+from missionsim.uncertainty.draws import row_of, simulate_block
 
 Columns = dict[str, NDArray[Any]]
 TRIES = 6

@@ -91,24 +91,9 @@ def component_powers(power_w: ArrayLike, switched_on: ArrayLike) -> Array:
     """Power of each component from a switching sequence (section III.B, Fig. 2), by least squares over all samples.
 
     Components are switched on one after the other; each one's power is the step. Least squares over the whole record
-    does the same subtraction, also where components go off again, and with every sample counted.
-
-    Parameters
-    ----------
-    power_w : array_like, shape (samples,)
-        Measured power, W.
-    switched_on : array_like, shape (samples, components)
-        Units of each component on in each sample.
-
-    Returns
-    -------
-    ndarray, shape (components,)
-        W per unit.
-
-    Raises
-    ------
-    ValueError
-        Two components are never switched apart, so the record cannot tell their powers.
+    does the same subtraction, also where components go off again, and with every sample counted. `power_w` (shape
+    (samples,)): measured [W]; `switched_on` (shape (samples, components)): units on. Gives W per unit, shape
+    (components,). Raises ValueError: two components are never switched apart, so the record cannot tell their powers.
     """
     design = f64(switched_on)
     values, _, rank, _ = np.linalg.lstsq(design, f64(power_w), rcond=None)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.files import Json
 from missionsim.physics import Array
-from missionsim.uncertainty.draws import run_generator
-from missionsim.uncertainty.single import left_to_chance
+from missionsim.uncertainty.draws import left_to_chance, run_generator
 from missionsim.uncertainty.store import BlockStore
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
-from missionsim.uncertainty.draws import Draws, Sampler
+from missionsim.uncertainty.draws import Draws, Sampler, columns_of, components_of, left_to_chance, simulate_block
 from missionsim.uncertainty.intervals import (
     PROGRESS_POINTS,
     Intervals,
@@ -43,7 +43,6 @@ from missionsim.uncertainty.intervals import (
     phases_of,
     running_sum,
 )
-from missionsim.uncertainty.single import columns_of, components_of, left_to_chance, simulate_block
 
 AGREEMENT = 1e-9
 """Largest relative difference to SimPy that is accepted."""

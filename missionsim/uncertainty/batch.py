@@ -30,8 +30,15 @@ from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL, proportion_interval, summarise
 from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
-from missionsim.uncertainty.draws import Draws, Sampler, make_sampler, run_generator
-from missionsim.uncertainty.single import left_to_chance, simulate_block, unread_values
+from missionsim.uncertainty.draws import (
+    Draws,
+    Sampler,
+    left_to_chance,
+    make_sampler,
+    run_generator,
+    simulate_block,
+    unread_values,
+)
 from missionsim.uncertainty.store import BlockStore
 from missionsim.workers import interrupts_held, process_pool
 

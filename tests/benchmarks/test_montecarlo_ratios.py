@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from missionsim.uncertainty.batch import BLOCK_RUNS, Prepared, Task, _prepared, prepare
-from missionsim.uncertainty.single import simulate_block
+from missionsim.uncertainty.draws import simulate_block
 from tests.benchmarks import forty
 from tests.benchmarks.conftest import MISSIONSIM, InTurns, cost
 

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from missionsim.uncertainty.batch import Prepared, Task, prepare
-from missionsim.uncertainty.single import simulate_block
+from missionsim.uncertainty.draws import simulate_block
 from tests.uncertainty.test_montecarlo import assert_agree
 
 ROBOT = """kind: robot

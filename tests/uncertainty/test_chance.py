@@ -11,7 +11,7 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import rank_importance
 from missionsim.uncertainty.batch import Prepared, Task, prepare
-from missionsim.uncertainty.single import left_to_chance, simulate_block, simulate_run
+from missionsim.uncertainty.draws import left_to_chance, simulate_block, simulate_run
 
 SPACING_M, STOP_S, FAILURE, AGAIN_S, REPEAT = 20.0, 8.0, 0.3, 5.0, 0.25
 

@@ -10,7 +10,7 @@ import pytest
 
 from missionsim.cli.app import run_command
 from missionsim.uncertainty.batch import Task, prepare
-from missionsim.uncertainty.single import simulate_block
+from missionsim.uncertainty.draws import simulate_block
 from tests.uncertainty.test_montecarlo import PATROL, assert_agree
 
 ROBOT = """kind: robot

@@ -20,7 +20,7 @@ from missionsim.cli.app import run_command
 from missionsim.engine.simulate import simulate
 from missionsim.uncertainty.answers import capacity_needed, proportion_interval, quantile_ranks
 from missionsim.uncertainty.batch import Task, paired_difference, prepare
-from missionsim.uncertainty.single import simulate_block, simulate_run, unread_values
+from missionsim.uncertainty.draws import simulate_block, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
 ROOT = Path(__file__).resolve().parents[2]
