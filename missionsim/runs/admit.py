@@ -55,7 +55,8 @@ def unfit_runs(runs: Sequence[Run]) -> dict[str, str]:
 
 def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
     """Runs that are not as the others against a model, and why, in words; none where most are, for then it is the model
-    that is odd. Power that has nothing to do with the motion, or does long after it, is told of any number of runs."""
+    that is odd. Power that has nothing to do with the motion, or does long after it, is told of any number of runs.
+    Raises InputError: a model that gives no number."""
     found, apart = dict[str, str](), dict[str, str]()
     for battery in model.batteries:
         own = [run for run in runs if battery in run.power_w]
@@ -63,6 +64,8 @@ def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
             driven = [drive(model, run, battery) for run in own]
         except InputError:
             continue  # told where the battery is looked at
+        for one in driven:
+            one.check()
         apart |= _of_another_time(driven, battery)
         if len(own) < FEWEST:
             continue

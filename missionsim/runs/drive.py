@@ -187,6 +187,20 @@ class Driven:
         straight = rows + self.model.traction_w(self.covariates, battery)
         return {"drive_w": sum(own, start=rows), "traction_w": straight, "load_w": self.row_w(battery)}
 
+    def check(self) -> None:
+        """Raises InputError: where a term gives no number in some row, at the place of its formula."""
+        rows, faults = len(self.time_s), []
+        for battery, powers in self.terms.items():
+            for key, watts in powers.items():
+                bad = int(np.sum(~np.isfinite(np.broadcast_to(np.asarray(watts, dtype=float), (rows,)))))
+                if bad:
+                    place = next(term.effect.place for term in self.model.terms if term.key == key)
+                    told = f"the power of '{key.name}' (battery '{battery}') is not a number in {bad} of {rows} rows"
+                    told += f" of {self.run.run}"
+                    faults.append(place.fault(told, allowed="a formula with a value in every row"))
+        if faults:
+            raise InputError(faults)
+
     def at(self, model: PowerModel) -> Driven:
         """The same rows driven by a model with the same terms and other values."""
         own = {term.key for term in self.model.terms}

@@ -159,6 +159,25 @@ def test_a_base_without_a_value_calibrates_nothing(
     assert not out.exists()
 
 
+@pytest.mark.parametrize("command", ["compare", "diagnose", "calibrate"])
+def test_a_law_without_a_value_is_told_at_its_formula(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    """compare ended with 0 and "No energy was measured", diagnose with a LinAlgError and 3."""
+    robot, path, out = tmp_path / "robot.yaml", write_log(tmp_path), tmp_path / "out.yaml"
+    robot.write_text(
+        "kind: robot\nname: r\nbody: {mass: 9 kg, drive: differential, max_speed: 2 m/s}\n"
+        "batteries: {robot: {capacity: 9 Wh}}\n"
+        "motion: {battery: robot, model: polynomial, parameters: {c2: 1, c3: 2, c4: 3}}\n"
+        "effects:\n  - {name: odd, battery: robot, power: k * v / 0, parameters: {k: 5}}\n"
+    )
+    options = ["--out", str(out)] if command == "calibrate" else []
+    assert run_command([command, "--robot", str(robot), str(path), *options]) == 2
+    err = capsys.readouterr().err
+    assert "robot.yaml:7:40: error: the power of 'odd' (battery 'robot') is not a number in 60 of 60 rows" in err
+    assert not out.exists()
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("base", ["c2*v**c3", "k*exp(900*v)", "c2/0", "a*exp(exp(exp(b*v)))"])
 def test_formulas_that_leave_all_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str) -> None:
