@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 _CONTROL = {
@@ -92,13 +92,11 @@ class InputError(MissionsimError):
         return cls.single(message, file=file, got=got, allowed=allowed or ", ".join(names), hint=hint)
 
 
-def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:
-    """The known name closest to a word, or an empty string. `cutoff`: similarity from 0 to 1 below which nothing is
-    suggested."""
-    names = list(known)
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """The known name closest to a word; an empty string where none has at least that likeness, 0 to 1."""
+    names = {name: name for name in known}
     found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
     if not found:
-        lowered = {name.lower(): name for name in names}
-        close = difflib.get_close_matches(word.lower(), list(lowered), n=1, cutoff=cutoff)
-        found = [lowered[close[0]]] if close else []
-    return found[0] if found else ""
+        names = {name.lower(): name for name in names}
+        found = difflib.get_close_matches(word.lower(), names, n=1, cutoff=cutoff)
+    return names[found[0]] if found else ""
