@@ -87,7 +87,6 @@ def _where(one: BatteryComparison) -> list[web.Block]:
         hover = "%{y}: %{x:.1f} %<extra></extra>"
         layout = {
             "xaxis": web.axis("part of the error's variance, %", rangemode="tozero"),
-            "hovermode": "closest",
             "margin": {"l": 180, **web.MARGIN},
         }
         blocks.append(
@@ -149,7 +148,6 @@ def residual(found: Dependence) -> web.Chart:
         "yaxis": web.axis("power error, W", overlaying="y2", tickmode="auto", zeroline=True, zerolinewidth=2),
         "yaxis2": web.axis("share of time, %", side="right", showgrid=False, tickmode="auto", rangemode="tozero"),
         "margin": {**web.MARGIN, "l": 64, "r": 64},
-        "hovermode": "closest",
     }
     caption = f"Power error against {found.title}: mean and standard deviation within each range; bars: share of time."
     return web.Chart([time, error], layout, caption)
@@ -208,6 +206,7 @@ def progress(one: BatteryComparison) -> web.Chart:
     layout = {
         "xaxis": web.axis("progress, % of the run's time"),
         "yaxis": web.axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
+        "hovermode": "x unified",
     }
     return web.Chart(
         traces, layout, "Error of the energy spent so far, model minus measured, relative to measured.", 400
@@ -234,7 +233,6 @@ def places(one: BatteryComparison) -> web.Chart:
     layout = {
         "xaxis": web.axis("x, m", constrain="domain"),
         "yaxis": web.axis("y, m", scaleanchor="x", constrain="domain"),
-        "hovermode": "closest",
     }
     caption = (
         "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
@@ -258,7 +256,7 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
         "hovertemplate": "%{x}: %{customdata:+.4g} Wh<extra></extra>",
         "customdata": [*steps, gap["total"]],
     }
-    layout = {"yaxis": web.axis("energy, Wh", zeroline=True), "hovermode": "closest"}
+    layout = {"yaxis": web.axis("energy, Wh", zeroline=True)}
     caption = (
         "The gap between measured and simulated energy: what the power model misses and what the robot did otherwise."
     )

@@ -103,7 +103,6 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
             layout = {
                 "xaxis": web.axis(f"{web.label(word)}{', ' if unit else ''}{web.label(unit)}"),
                 "yaxis": web.axis("power that the model lacks, W"),
-                "hovermode": "closest",
             }
             held = f", {fixed} held" if fixed else ""
             blocks.append(web.Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
@@ -150,7 +149,6 @@ def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
             traces.append(points)
         layout = {
             "xaxis": web.axis("share of the battery's energy, before anything comes back, %", rangemode="tozero"),
-            "hovermode": "closest",
             "margin": {"l": 220, **web.MARGIN},
         }
         caption = (
@@ -266,12 +264,7 @@ def _alike(battery: BatteryDiagnosis) -> web.Chart:
     def named(names: list[str]) -> web.Trace:
         return web.axis("", tickvals=list(range(len(names))), ticktext=list(map(web.label, names)), showgrid=False)
 
-    layout = {
-        "xaxis": named(others),
-        "yaxis": named(found),
-        "hovermode": "closest",
-        "margin": {"l": 200, "r": 16, "t": 56, "b": 160},
-    }
+    layout = {"xaxis": named(others), "yaxis": named(found), "margin": {"l": 200, "r": 16, "t": 56, "b": 160}}
     caption = (
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
         "the same, at 0 they have nothing in common."
@@ -323,7 +316,7 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
         steps["hovertemplate"] = "%{x}: %{text}<extra></extra>"
         noise = web.line(names, [level] * len(names), "noise floor", hoverinfo="skip")
         noise["line"] = {"color": web.RESIDUAL, "dash": "dot"}
-        layout = {"yaxis": web.axis(title, rangemode="tozero"), "hovermode": "closest"}
+        layout = {"yaxis": web.axis(title, rangemode="tozero")}
         floors = "the noise floor is what a true model would still show"
         caption = f"The {title.split(',')[0]} on {which}, step by step; {floors}."
         charts.append(web.Chart([steps, noise], layout, caption, 360))

@@ -275,6 +275,7 @@ def over_time(traces: Sequence[Mapping[str, object]], below: str, caption: str, 
         "xaxis": axis("time since the start, s", anchor="y2"),
         "yaxis": axis("power, W", domain=[0.36, 1.0]),
         "yaxis2": axis(below, domain=[0.0, 0.28], zeroline=True, zerolinewidth=2),
+        "hovermode": "x unified",
     }
     return Chart(traces, layout, caption, height)
 

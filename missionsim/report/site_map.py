@@ -17,7 +17,20 @@ from missionsim.numerals import in_wh
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
-from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Trace, Verdict, axis, page
+from missionsim.report.page import (
+    COLOURS,
+    Block,
+    Bullets,
+    Chart,
+    Section,
+    Table,
+    Tiles,
+    Trace,
+    Verdict,
+    axis,
+    line,
+    page,
+)
 
 Points = Array
 SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")
@@ -154,12 +167,12 @@ def site_chart(site: SiteMap) -> Chart:
     surfaces, shut = surfaces_of(site.environment), shut_ways(site.environment)
     traces: list[dict[str, Any]] = []
     for index, edge in enumerate(site.environment.edges):
-        line, surface = curves[index], surface_of(site.environment, edge)
+        surface = surface_of(site.environment, edge)
         style = {"color": "#b0b0b0", "dash": "dot"} if index in shut else {"color": surfaces[surface], "width": 2}
         name = "closed" if index in shut else surface or "edge"
         text = f"{edge.name or ''} {edge.from_}–{edge.to}, {site.environment.length_m(edge) or 0:.4g} m, {surface}, "
         text += f"slope {100 * math.tan(edge.slope.value):.3g} %"
-        traces.append(_line(line, style, name, text, any(t["name"] == name for t in traces)))
+        traces.append(_edge(curves[index], style, name, text, any(t["name"] == name for t in traces)))
     if site.driven:
         from matplotlib import colormaps
         from matplotlib.colors import to_hex
@@ -169,14 +182,13 @@ def site_chart(site: SiteMap) -> Chart:
         shades = colormaps["viridis"]((values - low) / max(high - low, 1e-12))
         for (number, begin, wh), shade in zip(site.driven, shades, strict=True):
             spec = site.environment.edges[number]
-            line = shifted(curves[number], begin == spec.from_, 0.009 * size)
+            way = shifted(curves[number], begin == spec.from_, 0.009 * size)
             end = spec.to if begin == spec.from_ else spec.from_
             style = {"color": to_hex(shade), "width": 5}
-            traces.append(_line(line, style, "route", f"{begin} → {end}: {wh:.4g} Wh/m", True))
-        marker = {"color": [low, high], "colorscale": "Viridis", "showscale": True, "opacity": 0,
-                  "colorbar": {"title": {"text": "Wh/m"}, "len": 0.7}}  # fmt: skip
-        traces.append({"type": "scatter", "mode": "markers", "x": [None, None], "y": [None, None], "marker": marker,
-                       "showlegend": False, "name": "scale"})  # fmt: skip
+            traces.append(_edge(way, style, "route", f"{begin} → {end}: {wh:.4g} Wh/m", True))
+        marker = {"color": [low, high], "colorscale": "Viridis", "showscale": True, "opacity": 0}
+        marker["colorbar"] = axis("Wh/m", len=0.7)
+        traces.append(line([None, None], [None, None], "scale", mode="markers", marker=marker, showlegend=False))
     names = list(where)
     colours = [site.colours.get(name, ("#444444", ""))[0] for name in names]
     docks = [site.environment.places[name].charger is not None for name in names]
@@ -189,23 +201,19 @@ def site_chart(site: SiteMap) -> Chart:
         "customdata": [site.charges.get(name, "").replace("\n", "<br>") for name in names],
         "hovertemplate": "%{text} %{customdata}<extra></extra>",
     })  # fmt: skip
-    layout_ = {
-        "hovermode": "closest",
-        "xaxis": {"title": {"text": "x, m"}, "showgrid": False},
-        "yaxis": {"title": {"text": "y, m"}, "scaleanchor": "x", "showgrid": False},
-    }
+    axes = {"xaxis": axis("x, m", showgrid=False), "yaxis": axis("y, m", scaleanchor="x", showgrid=False)}
     caption = (
         "The site: edges by surface, the route by energy per metre, visits in their order; the charge stands at each "
         "place under the pointer."
     )
-    return Chart(traces, layout_, caption, 560)
+    return Chart(traces, axes, caption, 560)
 
 
-def _line(line: Points, style: Mapping[str, Any], name: str, text: str, known: bool) -> dict[str, Any]:
-    return {
-        "type": "scatter", "mode": "lines", "x": line[:, 0], "y": line[:, 1], "line": dict(style), "name": name,
-        "showlegend": not known, "legendgroup": name, "hovertemplate": f"{text}<extra></extra>",
-    }  # fmt: skip
+def _edge(way: Points, style: Mapping[str, Any], name: str, text: str, known: bool) -> dict[str, Any]:
+    told = f"{text}<extra></extra>"
+    return line(
+        way[:, 0], way[:, 1], name, line=dict(style), showlegend=not known, legendgroup=name, hovertemplate=told
+    )
 
 
 def layout(environment: EnvironmentSpec) -> tuple[dict[str, tuple[float, float]], dict[int, Points]]:
@@ -305,13 +313,11 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
     for b, name in enumerate(names):
         values = [float(physics.initial_wh[b]), *(leg.charge_wh[name] for leg in answer.legs)]
         share = [100.0 * value / float(physics.capacity_wh[b]) for value in values]
-        colour = COLOURS[b % len(COLOURS)]
-        curve = {"type": "scatter", "mode": "lines"}
-        traces.append({**curve, "x": times, "y": share, "name": name, "line": {"color": colour}})
-        reserve = {"y": [100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])] * 2, "x": [0.0, times[-1]]}
+        colour, reserve = COLOURS[b % len(COLOURS)], 100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])
         thin = {"color": colour, "dash": "dot", "width": 1}
-        traces.append({**curve, **reserve, "name": f"reserve of {name}", "line": thin})
-    over_time = {"xaxis": axis("time, min"), "yaxis": axis("charge, %", rangemode="tozero")}
+        traces.append(line(times, share, name, line={"color": colour}))
+        traces.append(line([0.0, times[-1]], [reserve] * 2, f"reserve of {name}", line=thin))
+    over_time = {"xaxis": axis("time, min"), "yaxis": axis("charge, %", rangemode="tozero"), "hovermode": "x unified"}
     sections = [
         Section("Plan", [Verdict(f"{answer.course()}: {answer.claim}.", "good"), Tiles(tiles)]),
         Section("Map", [site_chart(map_of_plan(answer))]),
