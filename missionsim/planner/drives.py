@@ -187,7 +187,7 @@ class Drives:
         *,
         weights: Array | None = None,
         gap: float = math.inf,
-        most: Array | None = None,
+        latest_s: float = math.inf,
         timeless: bool = False,
         waiting: Array | None = None,
         until: float = math.inf,
@@ -197,11 +197,10 @@ class Drives:
 
         `targets`: states. `weights` (shape (1 + batteries,)): with `gap`: only drives whose weighted use is within
         `gap` of the least one's. `more` (shape (targets,)): what is added to the weighted use of all drives to each
-        target. `most` (shape (1 + batteries,)): seconds and Wh that no drive may take more than. `timeless`: a drive is
-        not kept for being quicker; then `weights` has nothing for seconds. `waiting` (shape (1 + batteries,)): what an
-        earlier drive may take by the second until the later one ends, but no longer than `until`. `patience`: labels
-        after which the search ends. Gives target → drives, by weighted use, and the labels that this took; where those
-        are more than `patience`, there may be more drives.
+        target. `latest_s`: no drive may take longer. `timeless`: a drive is not kept for being quicker; then `weights`
+        has nothing for seconds. `waiting` (shape (1 + batteries,)): what an earlier drive may take by the second until
+        the later one ends, but no longer than `until`. `patience`: labels after which the search ends. Gives target →
+        drives, by weighted use, and the labels that this took; where those are more than `patience`, there may be more.
         """
         resources = self.road.use.shape[1]
         chosen = np.ones(resources) if weights is None else weights
@@ -211,14 +210,10 @@ class Drives:
             slack = np.where(np.isfinite(start)[:, None], to_targets - start[:, None], math.inf)
             slack += 0.0 if more is None else more[:, None]
         rest = slack.min(axis=0)
-        limit = np.full(resources, math.inf) if most is None else most
+        limit = np.append(latest_s, np.full(resources - 1, math.inf))
         least = np.where(np.isfinite(rest), 0.0, math.inf)[:, None] * np.ones(resources)
-        if most is not None:
-            for r in range(resources):
-                unit = np.zeros(resources)
-                unit[r] = 1.0
-                least[:, r] = np.maximum(least[:, r], self.distances(unit, targets, back=True).min(axis=0))
-        least = np.where(np.isnan(least), math.inf, least)
+        if latest_s < math.inf:
+            least[:, 0] = np.maximum(least[:, 0], self.distances(np.eye(resources)[0], targets, back=True).min(axis=0))
         more_of = self._network.size - resources
         wide = partial(np.pad, pad_width=(0, more_of))
         bounds = Bounds(
@@ -227,7 +222,7 @@ class Drives:
             wide(chosen)[None],
             rest[:, None],
             np.zeros(1),
-            None if waiting is None else wide(waiting),
+            wide(waiting) if waiting is not None and waiting.any() else None,
             until,
             clock=0,
             timeless=timeless,

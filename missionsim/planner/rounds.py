@@ -76,7 +76,7 @@ class Ways(Tour):
             weights=self.weights,
             gap=self.gap,
             timeless=site.timeless,
-            waiting=site.shear if site.shear.any() else None,
+            waiting=site.shear,
             until=self.latest,
             patience=PATIENCE if self.few is None else SOON,
         )

@@ -52,8 +52,6 @@ class Fronts:
         if key not in self._found and self.gap is None:
             self._found[key] = self._few(payload_kg)[key[1]]
         elif key not in self._found and self.gap is not None:
-            most = np.full(1 + len(site.physics.names), math.inf)
-            most[0] = site.deadline_s
             targets, more = np.unique(into), None
             if self.slack is not None:
                 rows = self.slack[np.searchsorted(site.order.loads[0], payload_kg)][out == key[1]].min(axis=0)
@@ -65,9 +63,9 @@ class Fronts:
                 more,
                 weights=self.weights,
                 gap=self.gap,
-                most=most if math.isfinite(site.deadline_s) else None,
+                latest_s=site.deadline_s,
                 timeless=site.timeless,
-                waiting=site.shear if site.shear.any() else None,
+                waiting=site.shear,
                 until=site.waits_until,
                 patience=max(patience, 1),
             )
