@@ -219,6 +219,7 @@ class PowerModel:
             powers: dict[TermKey, Any] = {}
             found[name] = powers
             drive: Any = 0.0
+            straight: Any = None
             relieving: dict[TermKey, Any] = {}
             parts: list[Any] = []
             back: list[Any] = []
@@ -232,8 +233,10 @@ class PowerModel:
                     raise InputError(self.lacking(given, name))
                 own = self._values(term, values)
                 load = {**given, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else given
+                if straight is None and (effect.of_drive or "ahead" in own):
+                    straight = self.traction_w(given, name, values)
                 if effect.of_drive:
-                    load = {**given, "traction_w": self.traction_w(given, name, values)}
+                    load = {**given, "traction_w": straight}
                 if effect.lags:
                     known = ((lag.text, _lag_name(term, lag)) for lag in effect.lags)
                     load = {**load, **{text: given[lag] for text, lag in known if lag in given}}
@@ -246,8 +249,7 @@ class PowerModel:
                 powers[term.key] = power
                 if term.limited:
                     relieving[term.key] = power
-                    straight = self.traction_w(given, name, values) if "ahead" in own else drive
-                    parts.append(effect.relieves(own, drive, straight))
+                    parts.append(effect.relieves(own, drive, drive if straight is None else straight))
                     back.append(own.get(effect.back, number(given, "regeneration")))
                 elif effect.drive and not effect.of_drive:
                     drive = drive + (np.maximum(power, 0.0) if effect.back else power)
@@ -327,11 +329,15 @@ class PowerModel:
             if any(term.effect.of_load for term in own):
                 alone = ()
             coupled = replace(self, terms=tuple(term for term in own if term not in alone))
-            for name, parameter in coupled.parameters_of(battery).items():
-                if parameter.value != 0.0:
-                    moved = ({f"{battery}/{name}": parameter.value * (1.0 + sign * step)} for sign in (1.0, -1.0))
-                    up, down = (coupled.total(cov, battery, values) for values in moved)
-                    add(name, up, down)
+            moving = {name: p.value for name, p in coupled.parameters_of(battery).items() if p.value != 0.0}
+            # all steps at once, two draws a parameter
+            draws = {name: np.full((2 * len(moving), 1), value) for name, value in moving.items()}
+            for at, (name, value) in enumerate(moving.items()):
+                draws[name][2 * at : 2 * at + 2, 0] = value * (1.0 + step), value * (1.0 - step)
+            values = {f"{battery}/{name}": drawn for name, drawn in draws.items()}
+            total = np.broadcast_to(coupled.total(cov, battery, values), (2 * len(moving), rows))
+            for at, name in enumerate(moving):
+                add(name, total[2 * at], total[2 * at + 1])
         for term in alone:
             nominal = {name: parameter.value for name, parameter in term.parameters.items()}
             for name, value in nominal.items():
