@@ -91,13 +91,7 @@ class Distribution:
                 return np.asarray(values[np.minimum(index, len(values) - 1)], dtype=float)
         from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
 
-        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
-        if self.kind == "normal" or sd == 0.0:
-            return np.asarray(mean + sd * ndtri(u)) if sd else np.full(u.shape, mean)
-        if self.kind == "lognormal":
-            sigma2 = math.log1p((sd / mean) ** 2)
-            return np.asarray(np.exp(math.log(mean) - sigma2 / 2 + math.sqrt(sigma2) * ndtri(u)))
-        a, b = (self._low - mean) / sd, (self._high - mean) / sd
+        a, b = self.score_bounds
         if a > 0:  # mirror, so that the upper tail keeps its digits
             log_low, log_high = log_ndtr(-b), log_ndtr(-a)
             z = -ndtri_exp(log_low + np.log1p((1 - u) * np.expm1(log_high - log_low)))
@@ -106,7 +100,7 @@ class Distribution:
             z = ndtri_exp(log_low + np.log1p(u * np.expm1(log_high - log_low)))
         else:
             z = ndtri(ndtr(a) + u * (ndtr(b) - ndtr(a)))
-        return np.asarray(np.clip(mean + sd * z, self._low, self._high))
+        return np.asarray(np.clip(self.at_scores(np.asarray(z)), self._low, self._high))
 
     @property
     def of_scores(self) -> bool:
