@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -15,10 +14,10 @@ from missionsim.runs.run import Run
 SHARE = 0.003
 """Standard deviation of the difference of two powers, in parts of their mean, below which they are one measurement.
 Noise of meters and drives is ten times as large."""
-WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.15, 0.9
-"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares at one
-shift, and the part that must be unlike all others of the run: a measured speed never comes twice alike to its last
-digit, a commanded one does."""
+WINDOW, LEAST, PART, UNLIKE, TOGETHER_S = 6, 60, 0.5, 0.9, 1.0
+"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares, and the
+part that must be unlike all others of the run: a measured speed never comes twice alike to its last digit, a commanded
+one does. What is shared comes that near to one time later [s]: ramps that were driven alike come at times of their own."""
 MOST = 4000
 """Fingerprints of a run that are compared."""
 
@@ -35,16 +34,16 @@ def copies(runs: Sequence[Run]) -> dict[int, int]:
     for i, one in enumerate(chosen):
         for value in one:
             owners.setdefault(value, []).append(i)
-    shifts: dict[tuple[int, int], Counter[int]] = {}
+    shifts: dict[tuple[int, int], list[float]] = {}
     for value, own in owners.items():
         for i, j in combinations(own, 2):
-            shifts.setdefault((i, j), Counter())[chosen[j][value] - chosen[i][value]] += 1
+            shifts.setdefault((i, j), []).append(chosen[j][value] - chosen[i][value])
     found: dict[int, int] = {}
     for j, run in enumerate(runs):
         for i in range(j):
             least = min(len(chosen[i]), len(chosen[j]))
-            # of two runs of one mission some speeds are alike here and there, of a copy at one shift throughout
-            shared = max(shifts.get((i, j), Counter({0: 0})).values())
+            late = np.sort(shifts.get((i, j), []))
+            shared = int(np.max(np.searchsorted(late, late + TOGETHER_S) - np.arange(len(late)), initial=0))
             alike = least >= LEAST / rare and shared > PART * least
             if i in found or set(run.power_w) != set(runs[i].power_w):
                 continue
@@ -70,13 +69,14 @@ def _conditions(run: Run) -> dict[str, object]:
     return found
 
 
-def _fingerprints(run: Run) -> dict[int, int]:
-    """One number for each few successive speeds → where they stand; none where speeds come again."""
+def _fingerprints(run: Run) -> dict[int, float]:
+    """One number for each few successive speeds → when they begin [s]; none where speeds come again."""
     if "speed_m_s" not in run.columns:
         return {}
     speed = np.round(run.number("speed_m_s"), 9)
-    speed = speed[np.isfinite(speed)]
-    speed = speed[np.diff(speed, prepend=np.nan) != 0.0]
+    time_s, speed = run.time_s[np.isfinite(speed)], speed[np.isfinite(speed)]
+    changed = np.diff(speed, prepend=np.nan) != 0.0
+    time_s, speed = time_s[changed], speed[changed]
     if len(speed) < LEAST + WINDOW:
         return {}
     factor = np.uint64(0x9E3779B97F4A7C15)
@@ -85,4 +85,5 @@ def _fingerprints(run: Run) -> dict[int, int]:
     for k in range(WINDOW):
         mixed = (mixed ^ (bits[k : k + len(mixed)] >> np.uint64(13 + k))) * factor
     values, first = np.unique(mixed >> np.uint64(8), return_index=True)
-    return dict(zip(values.tolist(), first.tolist(), strict=True)) if len(values) > UNLIKE * len(mixed) else {}
+    own = dict(zip(values.tolist(), time_s[first].tolist(), strict=True))
+    return own if len(values) > UNLIKE * len(mixed) else {}

@@ -153,8 +153,8 @@ def test_powers_that_differ_by_less_than_noise_are_one_measurement(noise: float,
     [
         (0, 63, 0, False),  # fewer than 60 places to tell by
         (0, 70, 0, True),
-        (880, 120, 0, False),  # a seventh of the run is the other's
-        (820, 180, 0, True),
+        (540, 460, 0, False),  # less than half of the run is the other's
+        (480, 520, 0, True),
         (0, 1000, 80, True),
         (0, 1000, 140, False),  # a commanded speed comes again
     ],
@@ -164,6 +164,19 @@ def test_speeds_that_are_another_runs_to_the_last_digit(own: int, shared: int, a
     first = rng.random(1000)
     second = np.concatenate([rng.random(own), first[1000 - shared :]])
     speeds = [np.concatenate([one, one[:again]]) for one in (first, second[: len(second) - (shared == 1000)])]
+    runs = [run(f"{i}", rng.random(len(speed)), speed_m_s=speed) for i, speed in enumerate(speeds)]
+    assert bool(admit.copies(runs)) is copy
+
+
+@pytest.mark.parametrize(("dwell_s", "copy"), [((40, 25, 60), False), ((30, 30, 30), True)])
+def test_ramps_that_a_drive_makes_alike_come_at_times_of_their_own(dwell_s: tuple[int, ...], copy: bool) -> None:
+    """A boat's cruise control: 8 to 10 of 16 runs were left out as copies of others."""
+    ramps = [np.linspace(low, high, 30) for low, high in ((0.0, 0.97), (0.97, 1.6), (1.6, 0.013))]
+    speeds = [
+        np.concatenate([np.append(ramp, np.full(seconds, ramp[-1])) for ramp, seconds in zip(ramps, held, strict=True)])
+        for held in ((30, 30, 30), dwell_s)
+    ]
+    rng = np.random.default_rng(1)
     runs = [run(f"{i}", rng.random(len(speed)), speed_m_s=speed) for i, speed in enumerate(speeds)]
     assert bool(admit.copies(runs)) is copy
 
