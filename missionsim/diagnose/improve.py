@@ -305,6 +305,10 @@ class Rounds:
         self.nothing.update({*names} - {effect.effect for effect in told})
         return sorted(told, key=lambda effect: names.index(effect.effect)), fitted
 
+    def left(self, taken: Sequence[Finding]) -> list[str]:
+        """What came to nothing, and did not go in later beside others."""
+        return sorted(self.nothing.keys() - {effect.effect for effect in taken})
+
     def settle(self, effects: Sequence[Finding], fitted: FinalFit) -> None:
         """Write the effects into the file and diagnose it."""
         given, models = self.state.given, self.state.models
@@ -383,7 +387,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         bool(heldout),
         first,
         last,
-        stopped=words.stopped(last, rounds.declined, sorted(rounds.nothing), rounds.as_well, tested=not untested)
+        stopped=words.stopped(last, rounds.declined, rounds.left(taken), rounds.as_well, tested=not untested)
         + fed_note(last, battery, models.runs, heldout)
         + (straight_note(powers[f"+ {taken[-1].effect}"], models.runs, battery) if taken else "")
         + "".join(f" {one.effect}: {one.doubt}." for one in doubted if one.doubt),

@@ -15,9 +15,10 @@ SHARE = 0.003
 """Standard deviation of the difference of two powers, in parts of their mean, below which they are one measurement.
 Noise of meters and drives is ten times as large."""
 WINDOW, LEAST, PART, UNLIKE, TOGETHER_S = 6, 60, 0.5, 0.9, 1.0
-"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares, and the
-part that must be unlike all others of the run: a measured speed never comes twice alike to its last digit, a commanded
-one does. What is shared comes that near to one time later [s]: ramps that were driven alike come at times of their own."""
+"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares, and
+the part that must be unlike all others of the run: a measured speed never comes twice alike to its last digit, a
+commanded one does. What is shared comes that near to one time later [s]: ramps that were driven alike come at times of
+their own."""
 MOST = 4000
 """Fingerprints of a run that are compared."""
 

@@ -67,6 +67,13 @@ def rounds(models: Told, seen: Sequence[Sequence[str]], clocks: Sequence[Clock |
     return made
 
 
+def test_what_came_to_nothing_at_first_and_went_in_later_is_not_told_as_left() -> None:
+    """ "added: … copper_loss …; copper_loss: …; not added" of a file that has it."""
+    made = rounds(Told({}), [()])
+    made.nothing.update(("drag", "grade"))
+    assert made.left(named("drag")) == ["grade"]
+
+
 @pytest.mark.parametrize(
     ("of_file", "both", "added"),
     [(("grade",), 1.0, "grade"), (("grade", "drag"), 4.0, "grade drag"), (("grade", "drag"), 12.0, "grade")],
