@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
 from missionsim.labels import ColumnData as ColumnData
 from missionsim.labels import Labels
+from missionsim.logs.codes import without_codes
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -128,7 +129,15 @@ def from_arrow(
     see `RawTable`; `first_row`: row number of the first row in the file; `decimal`: mark in numbers among texts."""
     raw = RawTable(file, {}, lines, [], first_row, decimal=decimal)
     for name in table.schema.names:
-        raw.columns[name] = _column(table.column(name), name, raw)
+        data = _column(table.column(name), name, raw)
+        if not isinstance(data, Labels):
+            data, found = without_codes(data)
+            for code, count, row in found:
+                told = f"{count} of {len(data)} values are exactly {code:g}, far from all others: a code for no value"
+                raw.remarks.append(
+                    Remark("missing", name, told, "they count as missing", "warning", raw.line(row), count)
+                )
+        raw.columns[name] = data
     return raw
 
 
@@ -199,8 +208,12 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
         raw.remarks.append(Remark("format", name, "words on/off or true/false", "read as 1 and 0", "note"))
         return numbers_of(labels, lambda word: _SWITCH_WORDS[word.strip().lower()])
     dotted = labels
+    if mark := _mark_of_thousands(labels.names, raw.decimal):
+        told = f"marks of thousands ({mark}) in its numbers"
+        raw.remarks.append(Remark("format", name, told, "read without them", "warning"))
+        dotted = Labels(labels.codes, tuple(word.replace(mark, "") for word in labels.names))
     if raw.decimal != ".":
-        dotted = Labels(labels.codes, tuple(word.replace(raw.decimal, ".") for word in labels.names))
+        dotted = Labels(labels.codes, tuple(word.replace(raw.decimal, ".") for word in dotted.names))
     numbers = numbers_of(dotted, number_of)
     written = labels.codes >= 0
     bad = written & np.isnan(numbers)
@@ -220,6 +233,17 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     told = f"{count} of {len(numbers)} cells are not numbers, first '{first}'"
     raw.remarks.append(Remark("format", name, told, "read as missing", "warning", raw.line(row), count))
     return numbers
+
+
+def _mark_of_thousands(words: Sequence[str], decimal: str) -> str:
+    """What stands before every third digit in the numbers of a column, and nowhere else; empty where nothing does.
+    A number that begins with nought has its decimals behind the mark."""
+    for mark in {".", ",", "'", "’"} - {decimal}:
+        marked = [word.strip() for word in words if mark in word]
+        whole = rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+(?:{re.escape(decimal)}\d*)?"
+        if marked and all(re.fullmatch(whole, word) for word in marked):
+            return mark
+    return ""
 
 
 _WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(%|[A-Za-zµ°/]{1,5}\d?)?\s*\Z")
