@@ -27,13 +27,11 @@ GREY = "#777777"
 
 def draw(paper: str, out: Path) -> list[Path]:
     """Draw every picture of a paper into a folder as PNG; each has a function of its name below."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     written = []
     for name, title in ABOUT[paper].pictures.items():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-        FigureCanvasAgg(figure)
         paint: Callable[[Figure], None] = globals()[f"_{name}"]
         paint(figure)
         figure.suptitle(title, fontsize=10)
