@@ -53,18 +53,10 @@ codecs.register_error("missionsim", _plainly)
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Run one command line.
+    """Run one command line, given without the program's name.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code: 0 fine, 1 the answer is "no", 2 a fault in the user's input, 3 our own fault, 130 interrupted,
-        141 the reader of the output has gone.
+    Gives the exit code: 0 fine, 1 the answer is "no", 2 a fault in the user's input, 3 our own fault, 130 interrupted,
+    141 the reader of the output has gone.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
@@ -119,14 +111,8 @@ def run_command(arguments: Sequence[str]) -> int:
 
 
 def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
-    """The call that a command line means; None, with a message on standard error, where the parser refuses it.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-    plain : bool
-        Whether plain calls go without the whole parser.
-    """
+    """The call that a command line means; None, with a message on standard error, where the parser refuses it. `plain`:
+    whether plain calls go without the whole parser."""
     word = next(iter(arguments), "")
     if plain and word in COMMANDS and (call := plain_call(arguments[1:], COMMANDS[word][0])) is not None:
         return call
@@ -243,13 +229,8 @@ _REFERENCES = ("robot", "environment", "mission")
 
 
 def check_targets(call: Call) -> None:
-    """Refuse ``--json``, ``--out`` and ``--report`` that cannot be written, or that are an input or each other.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        With every such path.
-    """
+    """Refuse ``--json``, ``--out`` and ``--report`` that cannot be written, or that are an input or each other. Raises
+    InputError: with every such path."""
     bound = inspect.signature(call.function).bind(*call.arguments, **call.options).arguments
     targets: list[tuple[str, Target, Path]] = []
     inputs: list[str] = []

@@ -156,12 +156,7 @@ class Search:
     no_align: bool = False
 
     def check(self, logs: Sequence[Path]) -> None:
-        """Refuse a search for effects without logs, or at a rate of false alarms that is none.
-
-        Raises
-        ------
-        missionsim.errors.InputError
-        """
+        """Raises InputError: a search for effects without logs, or at a rate of false alarms that is none."""
         if not logs:
             raise InputError.single("give at least one log", allowed="files or folders")
         if not 0.0 < self.alpha < 0.5:
