@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from missionsim.files import Json
 from missionsim.fit.final import FREE_SD, Value, final_fit
 from missionsim.fit.prepare import Prepared, acting, prepare
 from missionsim.identify.align import Clock
+from missionsim.identify.data import Candidate
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95
 from missionsim.identify.predictive import far_from_right
@@ -26,6 +27,7 @@ from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import robot_from_text
 from missionsim.labels import Labels
 from missionsim.numerals import counted
+from missionsim.physics import Array
 from missionsim.runs.covariates import COVARIATES
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -282,6 +284,14 @@ class ModelFit:
         }
 
 
+def _ramps(cov: Mapping[str, Any]) -> dict[str, Array]:
+    """Rate of half the speed's square while a robot speeds up and while it brakes [m²/s³], where both are known."""
+    if not {"speed_m_s", "accel_m_s2"} <= cov.keys():
+        return {}
+    rate = np.nan_to_num(np.asarray(cov["speed_m_s"]) * np.asarray(cov["accel_m_s2"]))
+    return {"speeding up": np.maximum(rate, 0.0), "braking": np.minimum(rate, 0.0)}
+
+
 @np.errstate(over="ignore", invalid="ignore")  # a formula without a value is told, not warned of
 def fit_parameters(model: PowerModel, logs: Sequence[Run], battery: str, *, free: bool = False) -> ModelFit:
     """Fit every parameter of one battery's model to logs; see `missionsim.fit.final.final_fit`.
@@ -311,7 +321,10 @@ def fit_parameters(model: PowerModel, logs: Sequence[Run], battery: str, *, free
             for name in known:
                 size = float(np.mean([float(np.mean(np.abs(g[name]))) for g in ready.gradients if name in g] or [0.0]))
                 prior_sd[name] = max(FREE_SD, 10.0 * power / size) if size > 0.0 else FREE_SD
-        source = make_source(ready.data(), [], prior_sd, settings)
+        ramps = [_ramps(run.covariates) for run in ready.runs]
+        # beside inertia, which a base may lack and an advance of the meter looks like
+        inertia = [Candidate(name, (name,)) for name in ramps[0]]
+        source = make_source(ready.data(ramps), inertia, prior_sd, settings)
         # far from right, a delay stands for what the model lacks: an advance looks like inertia
         clock = source.clock if far_from_right(source) is None else Clock.as_logged(len(source.runs))
         fitted = final_fit(model, logs, battery, prior_sd, clock, settings)

@@ -51,6 +51,19 @@ def test_the_meter_that_was_found_is_written_so_that_the_error_told_is_that_of_t
     assert 1.0 - (error / spread) ** 2 == pytest.approx(fit.explained, abs=0.002)
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_inertia_that_a_base_lacks_is_no_meter_ahead_of_the_motion(late: int) -> None:
+    """A tracked robot's meter was written as 0.45 s early, a boat's as 0.25 s: both were 0.2 s late."""
+    logs = []
+    for seed in range(4):
+        log = drive(seed, step_s=0.5, seconds=400.0)
+        speed = log.number("speed_m_s")
+        watts = log.power_w["robot"] + 60.0 * speed * np.gradient(speed, 0.5)
+        logs.append(drawing(log, np.roll(watts, late)))
+    fit = calibrate_new(NewRobot("rover", "c2*v**2 + c3*v + c4"), logs).fits[0]
+    assert fit.delay_s + fit.lag_s == pytest.approx(0.5 * late, abs=0.15)
+
+
 def test_how_long_a_component_has_been_on_is_no_component() -> None:
     """A log may hold the clock of a switch beside it."""
     logs = [drive(seed, seconds=200.0) for seed in range(4)]
