@@ -22,7 +22,7 @@ from missionsim.importer.sources import find_sources, identifier, read_source, t
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
-from missionsim.logs.clean import out_of_order
+from missionsim.logs.clean import count_on, out_of_order
 from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
@@ -281,6 +281,8 @@ def _finish(
         run["time_s"] = time = time - time[0]  # a start within a step of zero is the middle of the first interval
     run["time_s"] = time = close_jumps(time, remarks)
     lines = mapper.raw.lines
+    if mapper.spec.refresh or mapper.spec.step is not None:  # before means are taken over the rows of a reset
+        remarks += count_on(run, lambda row: mapper.raw.line(int(number[row])))
     if mapper.spec.refresh:
         run = _one_row_a_refresh(mapper, run, source, remarks)
         number, lines = np.empty(0, dtype=np.int64), lambda _row: 0

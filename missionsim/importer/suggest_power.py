@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import UNITS, Guess, words_of
+from missionsim.importer.roles import UNITS, Guess, folded, words_of
+from missionsim.importer.suggest_energy import from_counter, goes_back, net, sum_of_cells
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
 
 
-_PART = r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b"
+_PART = (
+    r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health"
+    r"|mech\w*|rated|nominal|peak)\b"
+)
 _ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
 _WHOLE, _NO_CURRENT = (
     r"\b(battery|batt?|bus|pack|system|total|robot|main|input)\b",
@@ -32,8 +36,12 @@ def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
     power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
+    power = [guess for guess in power if not goes_back(guess)]
+    power.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
+    if not power and amps:
+        volts = sum_of_cells(draft, volts)
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
     if power and (power[0].score >= 0.9 or pair is None):
@@ -41,11 +49,14 @@ def suggest(draft: Draft) -> None:
     elif pair is not None and (re.search(_WHOLE, words_of(pair[1].field)[0]) or not _drivers(draft)):
         sources = _from_pair(draft, *pair)
     else:
-        sources = _from_drivers(draft) or _from_array(draft) or _from_energy(draft)
+        sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft)
     if not sources:
         message = "no column looks like power, or voltage and current: write one in the place of POWER"
         gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
-        if name := next((name for name in draft.fields if re.search(gauge, words_of(name)[0])), ""):
+        back = [guess.field for role in ("power", "energy") for guess in draft.best(role) if goes_back(guess)]
+        if back:
+            message += f" ('{back[0]}' is what goes back into the battery)"
+        elif name := next((name for name in draft.fields if re.search(gauge, words_of(name)[0])), ""):
             message += f" ('{name}' is a gauge: there are no watts in it)"
         draft.missing.append(message)
         draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))
@@ -146,10 +157,11 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
         watts = watts * 1e-3
     if pair is None and any(re.search(r"\b(cadence|heart)\b", words_of(name)[0]) for name in draft.fields):
         guess = replace(guess, sure="a guess", why=f"{guess.why}; perhaps a rider's, who has a cadence")
-    sign = "-" if np.nanmean(watts) < 0 else ""
-    if sign:
+    guess, formula = net(draft, guess, "watts")
+    if np.nanmean(watts) < 0:
         guess = replace(guess, why=f"{guess.why}; negative on average, a log counts what is delivered as positive")
-    draft.column("power_robot_w", sign + draft.ref(guess.field, "watts"), guess)
+        formula = f"-({formula})" if " " in formula else f"-{formula}"
+    draft.column("power_robot_w", formula, guess)
     if pair is not None and _beside(draft, guess, pair[0]):
         draft.column("voltage_robot_v", draft.ref(pair[0].field, "volts"), pair[0])
     return [guess.field]
@@ -160,7 +172,9 @@ def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
     one, alike = re.sub(r"\d", "#", amps.field), [name for name in draft.fields if name != amps.field]
     if more := [name for name in alike if re.sub(r"\d", "#", name) == one]:
         draft.remarks.append(f"there are more currents, which were not added: {', '.join(more)}")
-    v, i = draft.ref(volts.field, "volts"), draft.ref(amps.field, "amps")
+    v = draft.ref(volts.field, "volts")
+    amps, i = net(draft, amps, "amps")
+    i = f"({i})" if sign and " " in i else i
     draft.column("voltage_robot_v", v, volts)
     sure = amps.sure if not why.startswith("?") else "a guess"
     draft.column("current_robot_a", f"{sign}{i}", replace(amps, sure=sure, why=f"{amps.why}; {why.lstrip('?')}"))
@@ -245,17 +259,6 @@ def _from_drivers(draft: Draft) -> list[str]:
     if late and draft.direct:
         draft.head["keep"] = " and ".join(f"{name} > 0" for name in late)
     return [name for pair in drivers for name in pair]
-
-
-def _from_energy(draft: Draft) -> list[str]:
-    for guess in draft.best("energy", 0.7)[:1]:
-        values = draft.values(guess.field)
-        falls = values[-1] < values[0]
-        why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
-        ref = draft.ref(guess.field, "energy")
-        draft.column("energy_robot_wh", f"-{ref}" if falls else ref, replace(guess, why=why))
-        return [guess.field]
-    return []
 
 
 def _rows(draft: Draft, sources: list[str]) -> None:

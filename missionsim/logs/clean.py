@@ -110,6 +110,42 @@ def order_time(rows: Rows) -> None:
         rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
 
 
+_ANEW = 10.0
+"""A counter that falls in one row by so many times what it ever rises by in one, and mostly moves by, begins anew
+(assumed): braking lowers it by less."""
+
+
+def without_resets(values: Array) -> tuple[Array, NDArray[np.int64]]:
+    """A counter counted on where it begins anew, in such a row by what it moves by in the rows beside; and these rows.
+    `values`: shape (n,)."""
+    known = np.flatnonzero(np.isfinite(values))
+    step = np.diff(values[known])
+    moved = np.abs(step[step != 0])
+    if len(moved) < 10:
+        return values, known[:0]
+    anew = np.flatnonzero(-step > _ANEW * max(float(step.max()), float(np.quantile(moved, 0.9))))
+    if not len(anew):
+        return values, anew
+    beside = np.delete(step, anew)
+    step[anew] = np.interp(anew - np.arange(len(anew)) - 0.5, np.arange(len(beside)), beside)
+    result = values.copy()
+    result[known[1:]] = values[known[0]] + np.cumsum(step)
+    return result, known[anew + 1]
+
+
+def count_on(columns: dict[str, ColumnData], line_of: Callable[[int], int]) -> list[Remark]:
+    """Count on each counter of energy that begins anew, in place; gives what is told. `line_of`: as `out_of_order`."""
+    told = []
+    for name, data in columns.items():
+        if not isinstance(data, Labels) and (found := column_of(name)) and found[0].name == "energy_<battery>_wh":
+            columns[name], anew = without_resets(data)
+            if len(anew):
+                message = f"the counter begins anew {counted(len(anew), 'time')}, first from {data[anew[0] - 1]:.6g} Wh"
+                action = "counted on, over that row by what the rows beside it took"
+                told.append(Remark("counter", name, message, action, "warning", line_of(int(anew[0])), len(anew)))
+    return told
+
+
 def out_of_order(time_s: Array, file: str, line_of: Callable[[int], int]) -> Remark | None:
     """What is told of finite times that run backwards, where their rows are to be sorted; None where none does.
 

@@ -13,9 +13,9 @@ _CODES = np.unique([
     2.0**31 - 1, -(2.0**31), 2.0**32 - 1,
 ])  # fmt: skip
 """Nines, and the ends of whole numbers, also scaled."""
-_FEW, _LONE = 8, 10.0
-"""Values that a column has beside its codes, else it may be a count; times the range of the others that a code which
-stands there once lies beside them (both assumed)."""
+_FEW, _FAR, _LONE = 8, 0.5, 10.0
+"""Values that a column has beside its codes, else it may be a count; times their range that a code lies beside them,
+and one that stands there once (all assumed)."""
 _LASTS = 2
 """Rows that a code of -1, which lies near what is measured, lasts at most (assumed)."""
 
@@ -23,7 +23,7 @@ _LASTS = 2
 def without_codes(data: Array) -> tuple[Array, list[tuple[float, int, int]]]:
     """A column with its codes for no value as NaN; and each code, its number of rows, its first row.
 
-    A code is one of a list, exactly, again and again, and farther from all other values than these lie apart; or -1 as
+    A code is one of a list, exactly, again and again, and far from all other values, by half of their range; or -1 as
     the only negative value, in single rows. A reading at a limit has others near it.
     """
     ends = np.array([np.fmin.reduce(data), np.fmax.reduce(data)]) if len(data) else np.empty(0)
@@ -42,7 +42,7 @@ def without_codes(data: Array) -> tuple[Array, list[tuple[float, int, int]]]:
             times = int(np.count_nonzero(np.diff(np.r_[False, rows]) & rows))
             gone = low >= 0.0 and 2 < count <= _LASTS * times
         else:
-            gone = far > (high - low) * (1.0 if count > 1 else _LONE) and count < 0.5 * len(data)
+            gone = far > (high - low) * (_FAR if count > 1 else _LONE) and count < 0.5 * len(data)
         if gone:
             found.append((float(code), count, int(np.argmax(rows))))
             data = np.where(rows, np.nan, data)

@@ -16,7 +16,7 @@ from missionsim.files import grouped, sha256
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
-from missionsim.logs.clean import Rows, fill_missing, order_time
+from missionsim.logs.clean import Rows, count_on, fill_missing, order_time
 from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, is_recording, log_suffixes, not_there, table_reader
@@ -205,6 +205,7 @@ def make_log(
     with np.errstate(over="ignore", invalid="ignore"):  # numbers beside all reason are told, not warned of
         rows = Rows(raw, dict(raw.columns), np.arange(raw.rows), list(raw.remarks))
         order_time(rows)
+        rows.remarks += count_on(rows.columns, lambda row: raw.line(int(rows.row[row])))
         rows.dt = row_durations(rows.time)
         held = fill_missing(rows, {name for name in rows.columns if name.startswith(_ELECTRIC)})
         kinds = measured_batteries(rows.columns)

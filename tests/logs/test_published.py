@@ -11,12 +11,12 @@ import pytest
 from missionsim.importer.mapping import import_source
 from missionsim.importer.suggest import Suggestion, suggest_map
 from missionsim.inputs.loading import load_map
-from missionsim.logs import LogTable
+from missionsim.logs import LogTable, read_log
 from tests.logs.conftest import write_csv
 
 TIME_S = 0.1 * (np.arange(1200) + 0.5)
 SPEED = np.clip(0.8 * np.sin(TIME_S / 6.0) + 0.4, 0.0, None)
-POWER = 38.0 + 120.0 * SPEED + 60.0 * np.gradient(SPEED, TIME_S)
+POWER = 38.0 + 120.0 * SPEED + 1500.0 * np.gradient(SPEED, TIME_S)
 """Below nought while it brakes."""
 ENERGY_WH = float(POWER.sum()) * 0.1 / 3600.0
 
@@ -73,3 +73,79 @@ def test_marks_of_thousands(tmp_path: Path, delimiter: str, decimal: str, write)
     log, _ = imported(tmp_path, columns, delimiter=delimiter, decimal=decimal)
     assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.001)
     assert any("thousands" in remark.message for remark in log.remarks)
+
+
+def counted(power: np.ndarray) -> np.ndarray:
+    return (np.cumsum(power) * 0.1 / 3600.0).round(5)
+
+
+OUT, BACK = np.clip(POWER, 0.0, None), np.clip(-POWER, 0.0, None)
+
+
+@pytest.mark.parametrize(
+    ("names", "what"),
+    [
+        (("Energy out [Wh]", "Energy in [Wh]"), counted),
+        (("Discharged energy (Wh)", "Regenerated energy (Wh)"), counted),
+        (("Traction energy (Wh)", "Regen energy (Wh)"), counted),
+        (("Discharge power (W)", "Charge power (W)"), np.asarray),
+        (("Discharge power (W)", "Charge power (W)"), lambda p: p if p is OUT else -p),
+    ],
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_goes_back_is_subtracted(tmp_path: Path, names: tuple[str, str], what, order: int) -> None:  # type: ignore[no-untyped-def]
+    columns = dict([(names[0], what(OUT)), (names[1], what(BACK))][::order])
+    log, found = imported(tmp_path, table() | columns)
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
+    assert all(guess.sure != "sure" for name, guess in found.columns.items() if "robot" in name)
+
+
+def test_what_goes_back_alone_is_asked_about_and_another_counter_told(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "back.csv", table() | {"Regen energy (Wh)": counted(BACK)})
+    assert any("goes back" in told for told in suggest_map([path]).missing)
+    columns = table() | {"Energy A (Wh)": counted(OUT), "Energy B (Wh)": counted(BACK)}
+    found = suggest_map([write_csv(tmp_path / "two.csv", columns)])
+    assert found.columns["energy_robot_wh"].sure == "a guess"
+    assert any("Energy B (Wh)" in told for told in found.remarks)
+
+
+@pytest.mark.parametrize("wraps", [False, True])
+def test_a_counter_that_begins_anew_loses_nothing(tmp_path: Path, wraps: bool) -> None:
+    energy = counted(OUT)
+    energy = (
+        (energy + 1.3) % (0.5 * ENERGY_WH) if wraps else np.where(np.arange(1200) < 700, energy, energy - energy[700])
+    )
+    log, _ = imported(tmp_path, table() | {"Energy (Wh)": energy})
+    assert log.energy_wh("robot") == pytest.approx(float(OUT.sum()) * 0.1 / 3600.0, rel=0.01)
+    assert any("begins anew" in remark.message for remark in log.remarks)
+    plain = write_csv(tmp_path / "log.csv", {"time_s": TIME_S, "speed_m_s": SPEED, "energy_robot_wh": energy})
+    assert read_log(plain).energy_wh("robot") == pytest.approx(log.energy_wh("robot"), rel=1e-3)
+
+
+def test_a_counter_that_braking_lowers_is_left_alone(tmp_path: Path) -> None:
+    log, _ = imported(tmp_path, table() | {"Energy (Wh)": counted(np.where(SPEED > 0.9, -900.0, 40.0))})
+    assert not any("begins anew" in remark.message for remark in log.remarks)
+
+
+def test_energy_of_each_row_is_no_counter(tmp_path: Path) -> None:
+    log, found = imported(tmp_path, table() | {"Wh per step": POWER * 0.1 / 3600.0})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
+    assert found.columns["power_robot_w"].sure == "a guess"
+
+
+@pytest.mark.parametrize("other", ["Mechanical power (W)", "Rated power (W)", "Nominal power [W]", "Peak power"])
+def test_the_power_of_something_else_is_not_the_batterys(tmp_path: Path, other: str) -> None:
+    wrong = np.full(1200, 500.0) if other[0] in "RN" else 0.6 * POWER
+    log, _ = imported(tmp_path, table() | {other: wrong, "Electrical power (W)": POWER})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-6)
+    assert suggest_map([write_csv(tmp_path / "b.csv", table() | {other: wrong})]).missing
+
+
+def test_a_constant_power_comes_last_and_cells_are_summed_with_a_question(tmp_path: Path) -> None:
+    log, _ = imported(tmp_path, table() | {"Power P1 (W)": np.full(1200, 500.0), "Power P2 (W)": POWER})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-6)
+    cells = {f"Cell {i} voltage (V)": 3.6 + 0.001 * i - POWER / 1e4 for i in range(1, 8)}
+    pack = np.sum(list(cells.values()), axis=0)
+    log, found = imported(tmp_path, table() | cells | {"Pack current (A)": POWER / pack})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-3)
+    assert any("cells" in told for told in found.missing)

@@ -1,0 +1,113 @@
+"""Suggestions where there is more than a meter: counters of energy, what goes out and what goes back, single cells."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from missionsim.importer.roles import UNITS, Field, Guess, words_of
+from missionsim.logs.clean import without_resets
+
+if TYPE_CHECKING:
+    from missionsim.importer.suggest import Draft
+
+_OUT = (
+    r"\b(discharg\w*|out|consum\w*|used|traction|driv\w+|delivered|drawn|spent|entlad\w*|entnommen\w*|verbrauch\w*)\b"
+)
+_BACK = (
+    r"\b(charg(?!er)\w*|regen\w*|recup\w*|recover\w*|rekup\w*|brak\w*|geladen\w*|eingespeist\w*|returned|fed back)\b"
+)
+_PER_ROW, _TREMBLES = r"\bper (step|row|sample|interval|record|cycle)\b", 20.0
+"""Energy of each row by its name; or by values that go up and down by so many times their range in all (assumed)."""
+
+
+def goes_back(guess: Guess) -> bool:
+    """Whether a name says that its energy goes back into the battery."""
+    words = words_of(guess.field)[0]
+    return re.search(_BACK, words) is not None and re.search(_OUT, words) is None
+
+
+def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Guess, str]:
+    """What a meter delivers less what another one says goes back, as a guess and a formula: the meter alone where there
+    is no other. `told`: whether further columns of the same kind are told, as those of counters are."""
+    alike = [one for one in draft.best(guess.role) if one.field != guess.field]
+    ref, mine = draft.ref(guess.field, alias), words_of(guess.field)[0]
+    back = [one for one in alike if goes_back(one) or re.search(r"\bin\b", words_of(one.field)[0])]
+    if back and re.search(_OUT, mine):
+        other = draft.values(back[0].field)
+        known = other[np.isfinite(other)]
+        flow = float(known[-1] - known[0]) if guess.role == "energy" else float(known.sum())
+        sign, ratio = "+" if flow < 0 else "-", _size(back[0]) / _size(guess)
+        formula = f"{ref} {sign} {draft.ref(back[0].field, f'{alias}_back')}" + (
+            f" * {ratio:g}" if ratio != 1.0 else ""
+        )
+        why = f"{guess.why}; what goes back, '{back[0].field}', is subtracted"
+        return replace(guess, sure="likely", why=why), formula
+    if told and alike:
+        others = ", ".join(f"'{one.field}'" for one in alike)
+        draft.remarks.append(f"there is another counter, which was neither added nor subtracted: {others}")
+        guess = replace(guess, sure="a guess")
+    return guess, ref
+
+
+def _size(guess: Guess) -> float:
+    return UNITS[guess.unit][1] if guess.unit else 1.0
+
+
+def from_counter(draft: Draft) -> list[str]:
+    """The energy so far of a counter, or the power by the energy of each row."""
+    found = [guess for guess in draft.best("energy", 0.7) if not goes_back(guess)]
+    words = {guess.field: words_of(guess.field)[0] for guess in found}
+    if any(re.search(r"\bin\b", one) for one in words.values()):  # of what goes in and what goes out the latter
+        found.sort(key=lambda guess: not re.search(_OUT, words[guess.field]))
+    for guess in found[:1]:
+        values = draft.values(guess.field)
+        step = np.diff(values[np.isfinite(values)])
+        travelled = float(np.abs(np.diff(without_resets(values)[0][np.isfinite(values)])).sum())
+        if re.search(_PER_ROW, words[guess.field]) or (
+            len(step) > 50 and travelled > _TREMBLES * float(np.ptp(values))
+        ):
+            return _per_row(draft, guess)
+        falls = int((step < 0).sum()) > int((step > 0).sum())
+        guess, ref = net(draft, guess, "energy", told=True)
+        why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
+        formula = (f"-({ref})" if " " in ref else f"-{ref}") if falls else ref
+        draft.column("energy_robot_wh", formula, replace(guess, why=why))
+        return [guess.field]
+    return []
+
+
+def _per_row(draft: Draft, guess: Guess) -> list[str]:
+    steps = np.diff(draft.time_s) if draft.time_s is not None else np.empty(0)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if usual <= 0 or float(np.mean(np.abs(steps - usual) > 0.2 * usual)) > 0.05:
+        draft.missing.append(f"'{guess.field}' is the energy of each row, and rows last differently long")
+        return []
+    formula = f"{draft.ref(guess.field, 'energy')} * {_size(guess) * 3600.0 / usual:.6g}"
+    why = f"{guess.why}; it goes up and down, so it is no counter but the energy of each row, of {usual:.4g} s"
+    draft.column("power_robot_w", formula, replace(guess, unit="", sure="a guess", why=why))
+    return [guess.field]
+
+
+def sum_of_cells(draft: Draft, volts: list[Guess]) -> list[Guess]:
+    """Voltages, the one of a pack first: of all cells together where only cells are logged, with a question."""
+    cells = [guess for guess in volts if re.search(r"\bcells?\b", words_of(guess.field)[0])]
+    if not cells or volts[0] not in cells or not draft.direct:
+        return volts
+    first = cells[0]
+    alike = [one for one in cells if re.sub(r"\d+", "#", one.field) == re.sub(r"\d+", "#", first.field)]
+    if len(alike) < 2:
+        draft.missing.append(
+            f"'{first.field}' is the voltage of one cell: multiply it by the number of cells in series"
+        )
+        return volts
+    draft.missing.append(
+        f"{len(alike)} voltages of cells were added up: are these all cells of the battery, in series?"
+    )
+    draft.let["cells_v"] = " + ".join(draft.ref(one.field, f"cell_{i}") for i, one in enumerate(alike, 1))
+    total = np.sum([draft.values(one.field) for one in alike], axis=0)
+    draft.fields["cells_v"] = Field("cells_v", len(total), total)
+    return [replace(first, field="cells_v", sure="a guess", why=f"the sum of {len(alike)} cells"), *volts]
