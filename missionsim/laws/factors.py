@@ -313,6 +313,8 @@ def _further(b: _Builder, name: str) -> None:
     rate = f"({name} - lag({name}, {RATE_S:g})) / {RATE_S:g}"
     b.add(name, f"abs({rate})", f"|d{name}/dt|", 2, alone=True)
     b.add(name, f"max({rate}, 0)", f"(d{name}/dt)₊", 2, alone=True)
+    if b.has("payload_kg"):
+        b.add(name, f"payload_kg * max({rate}, 0)", f"m_payload·(d{name}/dt)₊", 2, alone=True)
     if name.endswith("_m_s") and b.has("speed_m_s"):  # a wind along the way: drag goes by the speed through the air
         for sign, shown in (("+", "+"), ("-", "−")):
             through = f"(abs(speed_m_s) {sign} {name})"

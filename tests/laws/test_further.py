@@ -254,10 +254,10 @@ def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
 
 
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize("one_way", [False, True])
-def test_an_actuator_takes_power_while_it_moves(one_way: bool) -> None:
+@pytest.mark.parametrize(("one_way", "loaded"), [(False, False), (True, False), (True, True)])
+def test_an_actuator_takes_power_while_it_moves(one_way: bool, loaded: bool) -> None:
     """A steering, and a mast that takes power on its way up: the angle itself says nothing of it, and turning was
-    blamed."""
+    blamed. A fork takes it for the load that it lifts: a law of standing with a load stood in."""
     rng, runs = np.random.default_rng(5), []
     for number in range(4):
         rows, time_s = 3000, 0.1 * np.arange(3000)
@@ -268,12 +268,16 @@ def test_an_actuator_takes_power_while_it_moves(one_way: bool) -> None:
             angle[i] = angle[i - 1] + np.clip(goal[i] - angle[i - 1], -0.06, 0.06)
         moves = np.gradient(angle, time_s)
         costs = 50.0 * (np.maximum(moves, 0.0) if one_way else np.abs(moves))
+        load = np.repeat(rng.choice([0.0, 1.0, 3.0], 20), 150)
         gradient = {"c3": 40.0 * speed, "c4": 30.0 * (speed > 0), "standing": 25.0 * (speed == 0)}
         columns = {"speed_m_s": speed, "mast_angle": angle}
+        if loaded:
+            costs, columns = load * costs, columns | {"payload_kg": load}
         runs.append(run_of(number, gradient, costs + 1.5 * rng.standard_normal(rows), step_s=0.1, **columns))
     made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
     rate = "(mast_angle - lag(mast_angle, 0.3)) / 0.3"
-    assert made.first.formula == (f"k * max({rate}, 0)" if one_way else f"k * abs({rate})")
+    lifted = f"payload_kg * max({rate}, 0)" if loaded else f"max({rate}, 0)"
+    assert made.first.formula == (f"k * {lifted}" if one_way else f"k * abs({rate})")
     assert made.first.k == pytest.approx(50.0, rel=0.15)
     assert made.curve is None
 
