@@ -101,7 +101,7 @@ class Prepared:
             watched, fresh = _watched(driven, self.names, self.texts), run.fresh.get(self.battery)
             rows = (run.run, run.time_s, run.dt_s, measured, base_w, slopes, own, watched)
             at_rest = ~np.asarray(is_moving(driven.covariates)) if "speed_m_s" in driven.covariates else None
-            found.append(RunData(*rows, fresh=fresh, begin_s=run.begin_s, at_rest=at_rest))
+            found.append(RunData(*rows, fresh=fresh, begin_s=run.begin_s, at_rest=at_rest, texts=self.texts))
         return tuple(found)
 
 

@@ -34,6 +34,7 @@ class RunData:
     fresh : rows at which the power value was really refreshed; None when every row is
     begin_s : when it began [s since 1970]; not a number where that is not known
     at_rest : rows in which the robot stands; None where nothing tells
+    texts : covariate of texts -> the texts that its numbers stand for
     """
 
     run: str
@@ -48,6 +49,7 @@ class RunData:
     fresh: NDArray[np.bool_] | None = None
     begin_s: float = math.nan
     at_rest: NDArray[np.bool_] | None = None
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.time_s)

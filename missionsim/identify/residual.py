@@ -193,6 +193,8 @@ def _words(model: Model, name: str, times: str, knots: Array, values: Array, pow
     curve = np.append(0.0, values)
     top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
     lowest, highest = (f"{rounded(knots[i])} {unit_of(name)}".strip() for i in (bottom, top))
+    if texts := model.source.runs[0].texts.get(name):
+        lowest, highest = (texts[int(knots[i])] if knots[i] in range(len(texts)) else "no text" for i in (bottom, top))
     return f"{what}: lowest at {lowest}, highest at {highest}"
 
 

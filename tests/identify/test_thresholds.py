@@ -85,7 +85,7 @@ def free_curve(monkeypatch: pytest.MonkeyPatch, answer: Any) -> SimpleNamespace:
     rows = {"phi": np.ones((1, 2)), "gradient": np.zeros((1, 2))}
     model, away = (SimpleNamespace(design=SimpleNamespace(layout=LAYOUT, **rows)) for _ in range(2))
     model.constraints, model.chosen = constraints(COVARIATE), (0,)
-    model.source = SimpleNamespace(covariates=(COVARIATE,))
+    model.source = SimpleNamespace(covariates=(COVARIATE,), runs=[SimpleNamespace(texts={})])
 
     def tested(judge: Any, rows: np.ndarray, chosen: list[int]) -> tuple[float, float, np.ndarray]:
         return (*answer(judge is away, len(rows), len(chosen)), np.ones(len(rows)))
@@ -114,6 +114,13 @@ def test_a_residual_that_depends_on_a_covariate(
 ) -> None:
     model = free_curve(monkeypatch, lambda steady, *_: away if steady else beside)
     assert bool(residual.dependences(model)) is told
+
+
+def test_a_residual_that_depends_on_a_text_is_told_by_its_texts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ "gait: lowest at 1.00, highest at 2.00"."""
+    model = free_curve(monkeypatch, lambda *_: (30.0, 1e-9))
+    model.source.runs[0].texts = {COVARIATE: ("crawl", "trot", "walk", "d", "e", "f")}
+    assert residual.dependences(model)[0].shape.endswith(": lowest at crawl, highest at trot")
 
 
 @pytest.mark.parametrize(
