@@ -22,6 +22,7 @@ from missionsim.importer.suggest_motion import quoted
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of
+from missionsim.logs.times import date_and_clock
 from missionsim.physics import Array
 
 _MOST_ROWS = 200_000
@@ -245,12 +246,14 @@ def _time(draft: Draft, path: Path) -> None:
     elif texts:
         columns = [(guess, draft.fields[guess.field].values) for guess in texts]
         first = {g.field: values.names[0] for g, values in columns if isinstance(values, Labels) and values.names}
-        days = [g for g in texts if ":" not in first.get(g.field, "")]
-        whole = [g for g in texts if g not in days and re.search(r"\d{4}", first[g.field])]
+        days = [g for g in texts if not date_and_clock(first.get(g.field, ""))[1]]
+        whole = [g for g in texts if g not in days and date_and_clock(first[g.field])[0]]
         clocks = [g for g in texts if g not in days and g not in whole]
         chosen = whole[:1] or ([days[0], clocks[0]] if days and clocks else clocks[:1])
         if not chosen:
-            draft.missing.append("dates without a time of day: give time_s a column of times")
+            message = "dates without a time of day: give time_s a column of times"
+            draft.missing.append(message)
+            draft.columns["time_s"] = ("TIME", Guess("time", "", "", 0.0, message, "not found"))
             return
         names = [g.field for g in chosen]
         refs = [draft.ref(name, alias) for name, alias in zip(names, ("date", "clock"), strict=False)]

@@ -17,7 +17,7 @@ from missionsim.physics import Array
 _CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"
 _ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))"
 _DAY = re.compile(rf"(?:-?\d+ days? )?{_CLOCK}(?:\s*[AP]M)?\Z", re.IGNORECASE)
-_ISO = re.compile(rf"\d{{4}}[-/.]?\d{{2}}[-/.]?\d{{2}}(?:[T _]+(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?))?{_ZONE}?\Z", re.I)
+_ISO = re.compile(rf"\d{{4}}[-/.]?\d{{2}}[-/.]?\d{{2}}(?:[T _-]+(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?))?{_ZONE}?\Z", re.I)
 _DATED = re.compile(rf"\d{{1,2}}([-/.])\d{{1,2}}\1\d{{4}}(?:,?[T ]+{_CLOCK}(?:\s*[AP]M)?)?{_ZONE}?\Z", re.IGNORECASE)
 _MONTHS = {
     "jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11,
@@ -31,6 +31,11 @@ _WORDED = re.compile(
 _SHORT = re.compile(r"(\d{2})\.(\d{2})\.(\d{2})(?!\d)(?=[,T ]|\Z)")
 """``14-Mar-2025 09:21:33.250``, ``Mar 14, 2025 9:21:33 AM``, ``Fri Mar 14 09:21:33 2025``."""
 _HOUR, _DAY_S = 3600.0, 86400.0
+_COMPACT = re.compile(r"(\d{4})[-/.]?(\d{2})[-/.]?(\d{2})[T _-]+(\d{2})(\d{2})(?=\d{2})")
+_FIRST_S, _LAST_S = 8.83e8, 2.37e9
+"""Logs are from 1998 to 2045: an epoch that says another year is in doubt (assumed)."""
+_TICKS = (("1970", 0.0), ("1601", 11644473600.0), ("the year 1", 62135596800.0))
+"""Zeros of clocks that count tenths of a microsecond [s] before 1970."""
 _EPOCHS = ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds"), (1e8, 1.0, "seconds"))
 """Times from 1973 to 5138 in each unit lie above its limit and below the one before."""
 _SLOWEST_S, _YEAR_S = 3000.0, 3e7
@@ -54,6 +59,8 @@ class Stamps:
     form: str
     """What was recognised, in words."""
     remarks: list[Remark] = field(default_factory=list)
+    likely: bool = True
+    """Whether they are of years in which logs are written."""
 
 
 def is_stamp(text: str) -> bool:
@@ -62,8 +69,16 @@ def is_stamp(text: str) -> bool:
     return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED))
 
 
+def date_and_clock(text: str) -> tuple[bool, bool]:
+    """Whether a time stamp has a date, and a time of day."""
+    text = _in_numbers(text.strip())
+    return _ISO.match(text) is not None or _DATED.match(text) is not None, ":" in text
+
+
 def _in_numbers(text: str) -> str:
-    """A date with the month's name, or ``14.03.25``, as ISO 8601; any other text as it is."""
+    """A date with the month's name, ``14.03.25`` or ``20250314_092133`` as ISO 8601; any other text as it is."""
+    text = _COMPACT.sub(r"\1-\2-\3 \4:\5:", text)
+    text = re.sub(r"\A(\d{1,2}/\d{1,2}/)(\d{2})(?=[,T ]|\Z)", r"\g<1>20\2", text)
     if re.search(r":\d{2}:\d{3}\Z", text):
         text = f"{text[:-4]}.{text[-3:]}"
     if short := _SHORT.match(text):
@@ -94,7 +109,7 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
     are wall time of a zone that is not known. Raises TimeError: texts that are no time stamps; local times that do not
     say which of two hours they are in.
     """
-    found = [_numbers(part) if not isinstance(part, Labels) else _texts(part) for part in parts]
+    found = [numbers_as_times(part) if not isinstance(part, Labels) else _texts(part) for part in parts]
     whole = found[0]
     if local and whole.kind == "utc":
         whole = Stamps(whole.seconds, "local", "ISO 8601 without a zone")
@@ -118,7 +133,11 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
     if whole.kind != "own":
         whole.seconds = whole.seconds.copy()
         whole.seconds[known] = values
-        whole.remarks.insert(0, Remark("clock", name, f"recognised as {whole.form}", "read as seconds", "note"))
+        told, severity = f"recognised as {whole.form}", "note"
+        if not whole.likely:
+            year = 1970 + int(float(np.median(values)) / 3.15576e7)
+            told, severity = f"{told}, which says the year {year}: another unit, or another zero?", "warning"
+        whole.remarks.insert(0, Remark("clock", name, told, "read as seconds", severity))
     return whole
 
 
@@ -212,20 +231,40 @@ class TimeAxis:
             )
 
 
-def epoch_of(values: Array) -> tuple[float, str] | None:
-    """Units in a second and the name of the unit, where numbers (shape (n,)) count since 1970; None where not."""
+def numbers_as_times(values: Array) -> Stamps:
+    """Times of numbers, shape (n,): a date in digits, an epoch by their size, else seconds of the logger's own."""
+    if (dates := _in_digits(values)) is not None:
+        return Stamps(dates, "local", "a date in digits")
     known = values[np.isfinite(values)][: 1 << 16]
     middle, step = (float(np.median(known)) if len(known) else 0.0), np.diff(known)
+    for told, zero_s in _TICKS:
+        if _FIRST_S < middle * 1e-7 - zero_s < _LAST_S:
+            return Stamps(values * 1e-7 - zero_s, "utc", f"tenths of a microsecond since {told}")
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     found = next(((factor, unit) for limit, factor, unit in _EPOCHS if middle > limit), None)
-    slow = found is not None and usual > _SLOWEST_S * found[0] and float(np.ptp(known)) > _YEAR_S * found[0]
-    return None if slow else found
-
-
-def _numbers(values: Array) -> Stamps:
-    if (found := epoch_of(values)) is None:
+    if found is None or (usual > _SLOWEST_S * found[0] and float(np.ptp(known)) > _YEAR_S * found[0]):
         return Stamps(values, "own", "seconds")
-    return Stamps(values / found[0], "utc", f"{found[1]} since 1970")
+    likely = _FIRST_S < middle / found[0] < _LAST_S
+    return Stamps(values / found[0], "utc", f"{found[1]} since 1970", likely=likely)
+
+
+def _in_digits(values: Array) -> Array | None:
+    """Seconds since 1970 of ``20250314092133`` or ``20250314092133250``; None where a row is no date."""
+    known = np.isfinite(values)
+    if not known.any() or not 1.9e13 < (middle := float(np.median(values[known]))) < 2.1e16 or 2.1e13 < middle < 1.9e16:
+        return None
+    scale = 1000 if middle > 1e15 else 1
+    whole = np.where(known, values, 20000101e6 * scale)
+    digits = (whole // scale).astype(np.int64)
+    year, month, day = digits // 10**10, digits // 10**8 % 100, digits // 10**6 % 100
+    hour, minute, second = digits // 10**4 % 100, digits // 100 % 100, digits % 100
+    inside = (year > 1900) & (year < 2100) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
+    if not (inside & (hour < 24) & (minute < 60) & (second <= 60)).all():
+        return None
+    months = (year - 1970) * 12 + month - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + day - 1
+    rest = (whole - digits * float(scale)) / scale
+    return np.where(known, days * _DAY_S + hour * _HOUR + minute * 60.0 + second + rest, np.nan)
 
 
 def _texts(labels: Labels) -> Stamps:
@@ -273,8 +312,8 @@ def _dated(texts: object) -> tuple[str, str, Array]:
     """Day first or month first: the one that every date fits, and then the one that spans less time."""
     import pandas as pd
 
-    series = pd.Series(texts).str.replace(r"[-/.](?=.*\d{4})", "/", regex=True).str.replace(",", ".")
-    series = series.str.replace(r"(\d{4})\.?[T ]+", r"\1 ", regex=True)
+    series = pd.Series(texts).str.replace(r"^(\d{1,2})[-/.](\d{1,2})[-/.]", r"\1/\2/", regex=True)
+    series = series.str.replace(r"^(\S*?\d{4}),?[T ]+", r"\1 ", regex=True).str.replace(",", ".")
     kind = "local" if ":" in str(series.iloc[0]) else "date"
     mark = "%I" if series.str.contains("[AP]M", case=False, regex=True).any() else "%H"
     fractions, seconds = bool(series.str.contains(".", regex=False).any()), bool(series.str.count(":").max() > 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +45,10 @@ def test_codes_for_no_value_are_left_out_of_every_column_and_told(tmp_path: Path
 
 
 def test_minus_one_in_single_rows_is_no_value_either(tmp_path: Path) -> None:
-    speed = np.where(np.arange(1200) % 20 == 7, -1.0, SPEED.round(3))
-    log, _ = imported(tmp_path, {"t": TIME_S, "v (m/s)": speed, "P (W)": POWER})
+    gone = np.arange(1200) % 20 == 7
+    speed, power = np.where(gone, -1.0, SPEED.round(3)), np.where(gone, -1.0, POWER.round(2))
+    log, _ = imported(tmp_path, {"t": TIME_S, "v (m/s)": speed, "P (W)": power})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
     assert np.trapezoid(log.number("speed_m_s"), log.time_s) == pytest.approx(np.trapezoid(SPEED, TIME_S), rel=0.01)
 
 
@@ -149,3 +152,46 @@ def test_a_constant_power_comes_last_and_cells_are_summed_with_a_question(tmp_pa
     log, found = imported(tmp_path, table() | cells | {"Pack current (A)": POWER / pack})
     assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-3)
     assert any("cells" in told for told in found.missing)
+
+
+START = datetime(2024, 11, 23, 13, 10, 40)
+STAMPS = {
+    "14 digits": "%Y%m%d%H%M%S",
+    "17 digits": "%Y%m%d%H%M%S%f",
+    "underscore": "%Y%m%d_%H%M%S",
+    "dash": "%Y%m%d-%H%M%S.%f",
+    "basic": "%Y%m%dT%H%M%SZ",
+    "basic, micro": "%Y%m%dT%H%M%S.%f",
+    "day first, micro": "%d/%m/%Y %H:%M:%S.%f",
+    "month first, micro": "%m/%d/%Y %H:%M:%S.%f",
+    "month first, short": "%m/%d/%y %H:%M:%S",
+}
+
+
+@pytest.mark.parametrize("form", STAMPS)
+def test_compact_and_american_stamps(tmp_path: Path, form: str) -> None:
+    times = [START + timedelta(seconds=i) for i in range(300)]
+    stamps = [t.strftime(STAMPS[form]) for t in times]
+    if form == "17 digits":
+        stamps = [stamp[:17] for stamp in stamps]
+    log, found = imported(tmp_path, {"timestamp": stamps, "v (m/s)": SPEED[:300], "Power (W)": POWER[:300]})
+    assert log.time_s[-1] - log.time_s[0] == pytest.approx(299.0, abs=0.01)
+    assert found.columns["time_s"].sure == "sure"
+
+
+@pytest.mark.parametrize(
+    ("zero", "per_second", "sure"),
+    [
+        (638_000_000_000_000_000, 1e7, "sure"),
+        (133_800_000_000_000_000, 1e7, "sure"),
+        (17_324_000_000_000_000, 1e7, "sure"),
+        (300_000_000_000, 1e3, "a guess"),
+    ],
+)
+def test_ticks_of_a_tenth_of_a_microsecond_and_years_without_robots(
+    tmp_path: Path, zero: int, per_second: float, sure: str
+) -> None:
+    stamps = [zero + round(per_second * t) for t in TIME_S]
+    log, found = imported(tmp_path, {"timestamp": stamps, "v (m/s)": SPEED, "Power (W)": POWER})
+    assert log.time_s[-1] - log.time_s[0] == pytest.approx(TIME_S[-1] - TIME_S[0], abs=0.01)
+    assert found.columns["time_s"].sure == sure
