@@ -17,8 +17,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
-from missionsim.importer.roles import Field, words_of
-from missionsim.importer.sources import find_sources, identifier, read_source, table_options, with_names
+from missionsim.importer.sources import find_sources, read_source, table_options, with_names
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
@@ -59,7 +58,7 @@ def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[P
     parted = []
     for name, inside in pieces:
         step = np.diff(time_s[inside])
-        usual = float(np.median(np.abs(step))) if len(step) else 0.0
+        usual = float(np.nanmedian(np.abs(step))) if len(step) else 0.0
         at = np.flatnonzero(step < -max(1.0, 10 * usual)) + 1
         parted += _numbered(name, np.split(inside, at)) if len(at) else [(name, inside)]
     return parted
@@ -87,44 +86,12 @@ def split_at_gaps(name: str, time_s: Array, runs: RunsMap, remarks: list[Remark]
     if runs.gap is not None:
         pieces = np.split(pieces[0], np.flatnonzero(np.diff(time_s) > float(runs.gap)) + 1)
     shortest = float(runs.shortest) if runs.shortest is not None else 0.0
-    long = [piece for piece in pieces if len(piece) >= 2 and time_s[piece[-1]] - time_s[piece[0]] >= shortest]
+    spans = [time_s[piece][np.isfinite(time_s[piece])] for piece in pieces]
+    long = [piece for piece, t in zip(pieces, spans, strict=True) if len(t) > 1 and t[-1] - t[0] >= shortest]
     if left := sum(map(len, pieces)) - sum(map(len, long)):
         told = f"{len(pieces) - len(long)} pieces of {name} ({left} rows) are too short"
         remarks.append(Remark("gap", "", told, "left out", "note", 0, left))
     return _numbered(name, long) if len(pieces) > 1 else [(name, piece) for piece in long]
-
-
-_RUN = re.compile(r"\b((test ?)?run|trip|session|experiment|config\w*|trial|fahrt|versuch)s?\d*\b")
-"""Words of a column that tells runs apart: no part of a word, such as that of ground."""
-
-
-def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: set[str]) -> dict[str, str]:
-    """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
-    Gives ``runs`` → its value as YAML; empty for one run."""
-    if time_s is None or len(time_s) < 4:
-        return {}
-    step = np.diff(time_s)
-    usual = float(np.median(np.abs(step)))
-    restarts = step < -max(1.0, 10 * usual)
-    changes: dict[str, NDArray[np.bool_]] = {}
-    for name, one in fields.items():
-        values = one.values.codes if isinstance(one.values, Labels) else one.values
-        whole = isinstance(one.values, Labels) or (np.isfinite(values).all() and (values == np.round(values)).all())
-        if name in times or not whole:
-            continue
-        change = values[1:] != values[:-1]
-        if change.any() and (not restarts.any() or not (change & ~restarts).any()):
-            changes[name] = change
-    if restarts.any():
-        together = np.logical_or.reduce(list(changes.values())) if changes else np.zeros_like(restarts)
-        if (together == restarts).all():
-            return {"runs": f"{{by: [{', '.join(map(identifier, changes))}]}}  # time begins anew where these change"}
-        return {"runs": "{restart: true}  # time begins anew"}
-    named = [name for name in changes if _RUN.search(words_of(name)[0])]
-    if named:
-        return {"runs": f"{{by: [{', '.join(map(identifier, named))}]}}"}
-    wide = step > max(60.0, 100 * usual)
-    return {"runs": "{gap: 60 s}  # long holes in time"} if wide.any() else {}
 
 
 def import_source(
@@ -277,7 +244,7 @@ def _finish(
         order = np.argsort(time, kind="stable")
         run, source = ({key: data[order] for key, data in columns.items()} for columns in (run, source))
         time, number = time[order], number[order]
-    if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.median(np.diff(time))):
+    if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.nanmedian(np.diff(time))):
         run["time_s"] = time = time - time[0]  # a start within a step of zero is the middle of the first interval
     run["time_s"] = time = close_jumps(time, remarks)
     lines = mapper.raw.lines

@@ -329,8 +329,8 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     usual = float(np.median(step[step > 0]))
     score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
-    dated = numbers_as_times(known)
-    epoch = dated.kind != "own"
+    stamps = numbers_as_times(known)
+    epoch = stamps.kind != "own"
     in_days = (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5) and known[-1] - known[0] < 3
     if not unit and in_days and 0 < np.median(step) < 1e-3:
         return Guess("time", field.name, "d", score, "days, as spreadsheets count them", "likely")
@@ -342,5 +342,5 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
         fits = (name for name, scale in scales.items() if 1e-3 <= usual * scale <= 10 and span * scale > 20)
         if fine := next(fits, ""):
             return Guess("time", field.name, fine, score - 0.3, f"{why}, {fine} by its steps of {usual:g}", "likely")
-    sure = "a guess" if not dated.likely else "sure" if score > 1.2 else "likely"
+    sure = "a guess" if not stamps.likely else "sure" if score > 1.2 else "likely"
     return Guess("time", field.name, "" if unit == "s" or epoch else unit, score, why, sure)

@@ -15,10 +15,10 @@ import numpy as np
 from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_motion, suggest_power
-from missionsim.importer.mapping import recognised_runs
 from missionsim.importer.roles import ROLES, UNITS, Field, Guess, fields_of, guess_all, guess_role
 from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted
+from missionsim.importer.suggest_runs import recognised_runs
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of

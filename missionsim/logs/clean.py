@@ -206,8 +206,38 @@ def _merge_duplicates(rows: Rows) -> None:
     if differs.any():
         told = f"{counted(int(differs.sum()), 'row')} with the time of the row before and other values"
         severity = _severity(float(differs.mean()))
+        if severity == "error":
+            _refuse_clashes(rows, merged, starts)
         rows.remark("duplicate", "time_s", told, f"{kept}, with the mean of the values", severity, differs)
     rows.columns, rows.row = merged, rows.row[starts]
+
+
+_COARSE, _TURNS, _APART = 20, 5, 3.0
+"""Times that a log has at least where many rows share each; rows of one time of as many recordings at most, and times
+what a value changes by from time to time that it differs by between them (assumed)."""
+
+
+def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np.int64]) -> None:
+    """Raise InputError where many rows share their time with others and their mean is of no robot: several recordings
+    whose rows stand in turn, or times so coarse that hardly any are left."""
+    n, line = len(rows.time), rows.raw.line(int(rows.row[0]))
+    hint = "a map with runs: {by: [the column that tells them apart]}"
+    if 1 < len(starts) < min(_COARSE, n / 10):
+        told = f"{n} rows have {counted(len(starts), 'time')}: the stamps are too coarse for the rows"
+        allowed = "stamps of the rows, or a map with time_s from the rows' number and rate"
+        raise InputError(Fault(rows.raw.file, line, 0, told, "time_s", allowed=allowed))
+    for name, data in rows.columns.items():
+        if isinstance(data, Labels) or column_of(name) is None or n > _TURNS * len(starts) or name == "time_s":
+            continue
+        with np.errstate(invalid="ignore"):
+            spread = np.fmax.reduceat(data, starts) - np.fmin.reduceat(data, starts)
+            change = float(np.nanmedian(np.abs(np.diff(np.asarray(means[name])))))
+            apart = float(np.nanmedian(spread[np.diff(np.r_[starts, n]) > 1]))
+        if apart > _APART * change and change > 0.0:
+            told = (
+                f"rows of several recordings in turn: {name} differs by {apart:.4g} at one time, by {change:.4g} after"
+            )
+            raise InputError(Fault(rows.raw.file, line, 0, told, "time_s", allowed="one recording a file", hint=hint))
 
 
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from missionsim.errors import InputError
 from missionsim.importer.mapping import import_source
 from missionsim.importer.suggest import Suggestion, suggest_map
 from missionsim.inputs.loading import load_map
@@ -195,3 +196,48 @@ def test_ticks_of_a_tenth_of_a_microsecond_and_years_without_robots(
     log, found = imported(tmp_path, {"timestamp": stamps, "v (m/s)": SPEED, "Power (W)": POWER})
     assert log.time_s[-1] - log.time_s[0] == pytest.approx(TIME_S[-1] - TIME_S[0], abs=0.01)
     assert found.columns["time_s"].sure == sure
+
+
+def two_vehicles(**more: object) -> dict[str, object]:
+    """Rows of two vehicles in turn."""
+    both = {"time": np.repeat(TIME_S, 2), "speed (m/s)": np.repeat(SPEED, 2)}
+    return both | {"power (W)": np.stack([POWER, 1.5 * POWER], axis=1).ravel()} | more
+
+
+@pytest.mark.parametrize("name", ["vehicle", "Robot ID", "which"])
+def test_rows_of_two_vehicles_are_told_apart(tmp_path: Path, name: str) -> None:
+    columns = two_vehicles() | {name: ["AGV-1", "AGV-2"] * 1200}
+    path = write_csv(tmp_path / "fleet.csv", columns)
+    (tmp_path / "map.yaml").write_text(suggest_map([path]).text, encoding="utf-8")
+    logs = import_source(path, load_map(tmp_path / "map.yaml"))
+    assert [log.energy_wh("robot") for log in logs] == pytest.approx([ENERGY_WH, 1.5 * ENERGY_WH], rel=1e-6)
+
+
+def test_vehicles_whose_rows_have_times_of_their_own_are_told_apart(tmp_path: Path) -> None:
+    time = np.repeat(TIME_S, 2) + np.tile([0.0, 0.03], 1200)
+    path = write_csv(tmp_path / "fleet.csv", two_vehicles(time=time) | {"robot_id": [1, 2] * 1200})
+    assert "runs: {by: [robot_id]}" in suggest_map([path]).text
+
+
+def test_rows_of_two_vehicles_without_a_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="in turn"):
+        imported(tmp_path, two_vehicles())
+
+
+def test_stamps_in_minutes_are_refused_and_those_in_seconds_averaged(tmp_path: Path) -> None:
+    columns = {"v (m/s)": SPEED, "Power (W)": POWER}
+    stamps = [(START + timedelta(seconds=0.1 * i)).strftime("%d.%m.%Y %H:%M") for i in range(1200)]
+    with pytest.raises(InputError, match="too coarse"):
+        imported(tmp_path, {"timestamp": stamps, **columns})
+    stamps = [(START + timedelta(seconds=0.1 * i)).strftime("%Y-%m-%d %H:%M:%S") for i in range(1200)]
+    log, _ = imported(tmp_path, {"timestamp": stamps, **columns})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.02)
+
+
+def test_a_row_of_totals_at_the_end_is_left_out(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "run.csv", table() | {"Power (W)": POWER})
+    path.write_text(path.read_text() + f"Total,{SPEED.mean():.3f},{POWER.sum():.1f}\n")
+    (tmp_path / "map.yaml").write_text(suggest_map([path]).text, encoding="utf-8")
+    (log,) = import_source(path, load_map(tmp_path / "map.yaml"))
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-6)
+    assert log.rows == 1200
