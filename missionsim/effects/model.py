@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -308,10 +308,13 @@ class PowerModel:
         step, rows = 1e-4, len(cov["time_s"])
         found: dict[str, Array] = {}
 
-        def add(name: str, up: Any, down: Any, scale: float = 1.0) -> None:
-            slope = scale * (np.asarray(up, dtype=float) - np.asarray(down, dtype=float)) / (2.0 * step)
-            slope = np.ascontiguousarray(np.broadcast_to(slope, (rows,)))
-            found[name] = found[name] + slope if name in found else slope
+        def add(names: Iterable[str], powers: Any, scale: float = 1.0) -> None:
+            """Two draws of the power of all that moves for each name, a step up and one down."""
+            for at, name in enumerate(names):
+                up, down = (powers[2 * at + i] if np.ndim(powers) > 1 else powers for i in (0, 1))
+                slope = scale * (np.asarray(up, dtype=float) - np.asarray(down, dtype=float)) / (2.0 * step)
+                slope = np.ascontiguousarray(np.broadcast_to(slope, (rows,)))
+                found[name] = found[name] + slope if name in found else slope
 
         own = alone = self.of(battery)
         regenerates = self.constants.get("regeneration", 0.0) > 0.0
@@ -330,21 +333,14 @@ class PowerModel:
                 alone = ()
             coupled = replace(self, terms=tuple(term for term in own if term not in alone))
             moving = {name: p.value for name, p in coupled.parameters_of(battery).items() if p.value != 0.0}
-            # all steps at once, two draws a parameter
-            draws = {name: np.full((2 * len(moving), 1), value) for name, value in moving.items()}
-            for at, (name, value) in enumerate(moving.items()):
-                draws[name][2 * at : 2 * at + 2, 0] = value * (1.0 + step), value * (1.0 - step)
-            values = {f"{battery}/{name}": drawn for name, drawn in draws.items()}
-            total = np.broadcast_to(coupled.total(cov, battery, values), (2 * len(moving), rows))
-            for at, name in enumerate(moving):
-                add(name, total[2 * at], total[2 * at + 1])
+            values = {f"{battery}/{name}": drawn for name, drawn in _stepped(moving, step).items()}
+            add(moving, coupled.total(cov, battery, values))
         for term in alone:
             nominal = {name: parameter.value for name, parameter in term.parameters.items()}
-            for name, value in nominal.items():
-                if value != 0.0:
-                    moved = ({**nominal, name: value * (1.0 + sign * step)} for sign in (1.0, -1.0))
-                    up, down = (term.effect.power(cov, values) for values in moved)
-                    add(term.name_of(name), up, down, term.scale)
+            moving = {name: value for name, value in nominal.items() if value != 0.0}
+            if moving:
+                powers = term.effect.power(cov, {**nominal, **_stepped(moving, step)})
+                add(map(term.name_of, moving), powers, term.scale)
         return {name: found[name] for name in self.parameters_of(battery) if name in found}
 
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
@@ -371,3 +367,11 @@ class PowerModel:
             if regeneration is not None and (new := values.get(f"{battery}/regeneration")) is not None:
                 regeneration, constants = replace(regeneration, value=new), {**constants, "regeneration": new}
         return replace(self, terms=terms, constants=constants, regeneration=regeneration)
+
+
+def _stepped(values: Mapping[str, float], step: float) -> dict[str, Array]:
+    """Two draws for each of some values, shape (2 × values, 1) each, in which it alone is a step larger and smaller."""
+    draws = {name: np.full((2 * len(values), 1), value) for name, value in values.items()}
+    for at, (name, value) in enumerate(values.items()):
+        draws[name][2 * at : 2 * at + 2, 0] = value * (1.0 + step), value * (1.0 - step)
+    return draws
