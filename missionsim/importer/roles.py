@@ -26,7 +26,7 @@ WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words
 """How loggers call things: see the file."""
 
 
-_OF_LOGGERS = {"K": 1.0, "cA": 0.01}
+_OF_LOGGERS = {"K": 1.0, "cA": 0.01, "kn": 1852 / 3600}
 """Units that robot files do not have; pint would be asked for them, which takes half a second to load."""
 
 
@@ -49,9 +49,10 @@ _PER = re.compile(
 _TAILS = (
     r"[_ .]((?:k|m|mm|c)?m_s2?|km_h|rad_s|deg_s)\Z",
     r"(?<=[A-Za-z0-9]),?[_ .]([A-Za-z°%/µ0-9]+)\Z",
+    r"(?<=[A-Za-z])(%)\Z",
     r"\s*/\s*\(?([A-Za-z°%µ][\w/°%²^]*)\)?\Z",
 )
-"""A unit at the end of a name: ``v_m_s``, ``Voltage, V`` or ``battery_mA``, ``U/V``."""
+"""A unit at the end of a name: ``v_m_s``, ``Voltage, V`` or ``battery_mA``, ``CPU%``, ``U/V``."""
 
 
 def words_of(name: str) -> tuple[str, str]:
@@ -178,7 +179,8 @@ class Role:
     words: str
     prefer: str = r"$^"
     avoid: str = r"$^"
-    """All three: patterns over the words of the name: needed, better, worse."""
+    by_unit: str = r"$^"
+    """All four: patterns over the words of the name: needed, better, worse, and enough beside a unit of it."""
     low: float = 0.0
     high: float = np.inf
     """Both: what the 95 % point of the magnitude lies between, in the glossary's unit."""
@@ -189,7 +191,7 @@ def _role(name: str, told: dict[str, Any]) -> Role:
     patterns = {
         key: "|".join(WORDS["patterns"].get(one, one) for one in ([given] if isinstance(given, str) else given))
         for key, given in told.items()
-        if key in ("words", "prefer", "avoid")
+        if key in ("words", "prefer", "avoid", "by_unit")
     }
     return Role(name, **told | patterns)
 
@@ -256,7 +258,9 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     unit = typical_unit if of_type and typical_unit else unit
     dimension = UNITS[unit][0] if unit else ""
     # a field without its topic or file, unless all that is left says nothing (``/battery/voltage.data``)
-    topic = re.match(r"(/[^.\[]+(?:\[[^\]]+\])?|[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", field.name)
+    topic = re.match(
+        r"(/[^.\[]+(?:\[[^\]]+\])?|(?!linear\.|angular\.)[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", field.name
+    )
     inner = field.name[topic.end() :] if topic else field.name
     tail = words_of(field.name if inner in ("data", "value") else inner)[0]
     named = re.search(role.words, tail) is not None or (words == "" and dimension == role.dimension != "")
@@ -267,6 +271,7 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     if text:
         return Guess(role.name, field.name, "", 1.0, f"'{field.name}' holds words", "likely") if named else None
     own_dimension = dimension == role.dimension or (role.name in ("left", "right") and dimension == "yaw rate")
+    named = named or (own_dimension and re.search(role.by_unit, tail) is not None)
     short = bool(re.fullmatch(r"[a-z]", tail)) and own_dimension
     if not (named or short or of_type) and not (
         own_dimension and role.name in ("power", "voltage", "current", "speed")

@@ -68,7 +68,8 @@ def find_files(given: Sequence[Path]) -> list[Path]:
 
 
 def _inside(folder: Path) -> list[Path]:
-    """What a folder holds to import: files, bags, and the files of bags that have lost their description."""
+    """What a folder holds to import: files, bags, and the files of bags that have lost their description; where it
+    holds nothing itself, the files in the folders of it."""
     found: list[Path] = []
     loose = tuple(suffix for reader in registry().values() if reader.folder for suffix in reader.suffixes)
     for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
@@ -76,7 +77,8 @@ def _inside(folder: Path) -> list[Path]:
             found.append(path)
         elif path.is_dir():
             found += sorted(p for p in path.iterdir() if p.suffix.lower() in loose and not p.name.startswith("."))
-    return found
+    files = (p for p in sorted(folder.glob("*/*")) if p.suffix.lower() in source_suffixes())
+    return found or [p for p in files if not p.name.startswith(".") and not p.parent.name.startswith(".")]
 
 
 def _is_source(path: Path) -> bool:
@@ -91,7 +93,7 @@ def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
     or each folder inside it is one.
     """
     if not spec.files:
-        return [Source(path.stem, {"": path}) for path in find_files(given)]
+        return [Source(name, {"": path}) for name, path in _named(find_files(given))]
     loose: list[Path] = []
     sources: list[Source] = []
     for path in given:
@@ -105,6 +107,17 @@ def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
     if loose:
         sources += _grouped(loose, spec, loose[0].resolve().parent.name or "run")
     return sources
+
+
+def _named(files: Sequence[Path]) -> list[tuple[str, Path]]:
+    """Name of the run of each file: that of its folder, where the names of files in several are alike."""
+    folders = [path.resolve().parent for path in files]
+    alike = Counter(path.stem for path in files)
+    inside = Counter(folders)
+    return [
+        (path.stem if alike[path.stem] == 1 else at.name if inside[at] == 1 else f"{at.name}_{path.stem}", path)
+        for path, at in zip(files, folders, strict=True)
+    ]
 
 
 def _grouped(files: Sequence[Path], spec: MapSpec, name: str) -> list[Source]:

@@ -18,7 +18,7 @@ from missionsim.importer import suggest_motion, suggest_power
 from missionsim.importer.roles import ROLES, UNITS, Field, Guess, fields_of, guess_all, guess_role
 from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted
-from missionsim.importer.suggest_runs import recognised_runs
+from missionsim.importer.suggest_runs import one_row_a_run, recognised_runs
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of
@@ -263,8 +263,9 @@ def _time(draft: Draft, path: Path) -> None:
     else:
         numbers = [one for one in draft.fields.values() if not isinstance(one.values, Labels) and len(one.values) > 2]
         counts = (one.name for one in numbers if (np.diff(np.asarray(one.values)) == 1).all())  # counts the rows
-        index = next(counts, "")
-        message = "no column looks like a time: write it in the place of TIME"
+        table = one_row_a_run(draft.fields, path)
+        index = "" if table else next(counts, "")
+        message = table or "no column looks like a time: write it in the place of TIME"
         if index:
             message = f"no column is a time; '{index}' counts the rows: put their rate in the place of RATE"
             draft.head["constants"] = "{rate: RATE Hz}"

@@ -99,6 +99,8 @@ def _speed(draft: Draft) -> str:
         draft.column("speed_m_s", _moving(draft, guess.field, "v"), guess)
     elif draft.best("left", 0.5) and draft.best("right", 0.5):
         _wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
+    elif draft.direct and (wheel := draft.best("wheel", 0.5)):
+        _wheels(draft, wheel[0])
     else:
         _from_way(draft)
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
@@ -201,27 +203,31 @@ def _from_way(draft: Draft) -> None:
         draft.column("speed_m_s", "hypot(vx_m_s, vy_m_s)", told)
 
 
-def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
-    refs = [draft.ref(left.field, "wheel_left"), draft.ref(right.field, "wheel_right")]
-    mean = 0.5 * (draft.values(left.field, left.unit) + draft.values(right.field, right.unit))
-    guess = replace(left, role="speed", unit="", sure="a guess", why="the mean of both wheels")
-    half = UNITS[left.unit][1] / 2 if left.unit == right.unit != "" else 0.5
-    both = f"({refs[0]} + {refs[1]}) * {half:.10g}" if half != 0.5 else f"({refs[0]} + {refs[1]}) / 2"
+def _wheels(draft: Draft, *wheels: Guess) -> None:
+    """The speed by that of both wheels, or of one, and their radius."""
+    refs = [draft.ref(one.field, f"wheel_{side}") for one, side in zip(wheels, ("left", "right"), strict=False)]
+    mean = np.asarray(sum(draft.values(one.field, one.unit) for one in wheels)) / len(wheels)
+    told = "the mean of both wheels" if len(wheels) > 1 else "the wheel"
+    unit = wheels[0].unit if len({one.unit for one in wheels}) == 1 else ""
+    factor = (UNITS[unit][1] if unit else 1.0) / len(wheels)
+    formula = f"({' + '.join(refs)})" if len(refs) > 1 else refs[0]
+    if factor != 1.0:
+        formula += f" * {factor:.10g}" if unit else f" / {len(wheels)}"
+    guess = replace(wheels[0], role="speed", unit="", sure="likely")
     radius = _radius(draft, mean)
     if radius is None:
         draft.head["constants"] = "{wheel_radius: RADIUS m}"
         draft.missing.append("speeds of wheels and no path: put the wheels' radius in the place of RADIUS")
-        guess = replace(guess, why="the mean of both wheels times their radius, which is not known")
+        guess = replace(guess, sure="a guess", why=f"{told} times the radius, which is not known")
     elif abs(radius - 1.0) > 0.03:
         draft.head["constants"] = (
             f"{{wheel_radius: {radius:.3g} m}}  # fitted: the path of the positions over that of the wheels"
         )
-        guess = replace(guess, sure="likely", why="the mean of both wheels times a radius that fits the positions")
+        guess = replace(guess, why=f"{told} times a radius that fits the positions")
     else:
-        guess = replace(guess, sure="likely", why="the mean of both wheels, which fits the positions")
-        draft.column("speed_m_s", both, guess)
+        draft.column("speed_m_s", formula, replace(guess, why=f"{told}, which fits the positions"))
         return
-    draft.column("speed_m_s", f"{both} * wheel_radius", guess)
+    draft.column("speed_m_s", f"{formula} * wheel_radius", guess)
 
 
 def _radius(draft: Draft, wheel: Array) -> float | None:
@@ -285,27 +291,27 @@ def suggest_others(draft: Draft) -> None:
     if "temp_ambient_c" in draft.columns and "the name" not in draft.columns["temp_ambient_c"][1].why:
         formula, air = draft.columns["temp_ambient_c"]
         draft.columns["temp_ambient_c"] = (formula, replace(air, sure="a guess", why=f"{air.why}; of the air?"))
-    _plain(draft, "temp_motor", "payload", "cpu_load", "cpu_freq", "surface", "scheme")
+    _plain(draft, "temp_motor", "payload", "cpu_load", "gpu_load", "cpu_freq", "surface", "scheme")
     weight = next((name for name in draft.fields if name.endswith("loads[0].weight")), None)
     if weight is not None:
         count = draft.ref(weight.replace("[0].weight", ".count"), "loads")
         payload = Guess("payload", weight, "", 1.0, "the weight of the first load, none without a load", "likely")
         draft.column("payload_kg", f"where({count} > 0, {draft.ref(weight, 'weight')}, 0)", payload)
     used = {guess.field for _, guess in draft.columns.values()}
-    for guess in draft.best("power"):
-        words, _ = words_of(guess.field)
-        values = draft.values(guess.field)
-        known = values[np.isfinite(values)]
-        consumer = re.search(r"\b(heat\w*|air ?con\w*|motors?|cpu|load|charger|servo\w*|fan|pump)\b", words)
-        if guess.field in used or not consumer or re.search("request|max|min", words) or not np.ptp(known):
-            continue
-        factor = UNITS[guess.unit][1] if guess.unit else 1.0
-        ref = draft.ref(guess.field, identifier(words.replace(" ", "_")))
-        why = "a consumer of its own, for an effect of yours"
-        formula = ref if factor == 1.0 else f"{ref} * {factor:g}"
-        draft.column(
-            identifier(words.replace(" ", "_")) + "_w", formula, Guess("", guess.field, "", 0.6, why, "a guess")
-        )
+    for role, end, pattern in (("power", "w", _CONSUMERS), ("current", "a", _FED)):
+        for guess in draft.best(role):
+            words, _ = words_of(guess.field)
+            known = draft.values(guess.field)[np.isfinite(draft.values(guess.field))]
+            if guess.field in used or not re.search(pattern, words) or re.search("request|max|min", words):
+                continue
+            if not np.ptp(known):
+                continue
+            factor = UNITS[guess.unit][1] if guess.unit else 1.0
+            name = identifier(words.replace(" ", "_"))
+            ref = draft.ref(guess.field, name)
+            why = "a consumer of its own, for an effect of yours"
+            formula = ref if factor == 1.0 else f"{ref} * {factor:g}"
+            draft.column(f"{name}_{end}", formula, Guess("", guess.field, "", 0.6, why, "a guess"))
     for name, one in draft.fields.items():
         component = switch_name(one)
         if component is None or name in used or f"on_{component}" in draft.columns:
@@ -319,6 +325,9 @@ def suggest_others(draft: Draft) -> None:
             draft.column(f"on_{component}", ref, guess)
 
 
+_FED = r"\b(heat\w*|air ?con\w*|cpu|gpu|servo\w*|fan|pump|arm|gripper|manipulator|tool|winch|lift|lights?|lamp|lidar)\b"
+_CONSUMERS = rf"{_FED}|\b(motors?|load|charger)\b"
+"""What has a current, or a power, of its own beside the motors'; of these the current follows the power's."""
 _ON = re.compile(r"\b(on|active|enabled|running|true|open|started|working)\b", re.IGNORECASE)
 _OFF = re.compile(r"\b(off|inactive|disabled|stopped|false|closed|idle|unconfigured|finalized)\b", re.IGNORECASE)
 _SWITCH = re.compile(r"(on|enabled?|active|switch|state|running|powered|label|status|data|is|goal|current)\Z")

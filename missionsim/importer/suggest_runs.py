@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from missionsim.importer.roles import Field, words_of
 from missionsim.importer.sources import identifier
 from missionsim.labels import Labels
+from missionsim.logs.readers import source_suffixes
 from missionsim.physics import Array
 
 _RUN = re.compile(r"\b((test ?)?run|trip|session|experiment|config\w*|trial|fahrt|versuch)s?\d*\b")
@@ -54,6 +56,23 @@ def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: se
         return {"runs": f"{{by: [{', '.join(map(identifier, named))}]}}"}
     wide = step > max(60.0, 100 * usual)
     return {"runs": "{gap: 60 s}  # long holes in time"} if wide.any() else {}
+
+
+_RESULT = re.compile(r"\b(duration|mean|avg|average|dauer|mittel\w*|mittlere\w*|duree|moyenne|duracion|media)\b")
+
+
+def one_row_a_run(fields: Mapping[str, Field], path: Path) -> str:
+    """What is said of a table without times of which each row is a run: of results, or of conditions; else nothing."""
+    results = [name for name in fields if _RESULT.search(words_of(name)[0])]
+    texts = {name: one.values for name, one in fields.items() if isinstance(one.values, Labels)}
+    distinct = (name for name, labels in texts.items() if len(np.unique(labels.codes)) == len(labels))
+    runs = [name for name in distinct if _RUN.search(words_of(name)[0])]
+    if len(results) < 2 and not runs:
+        return ""
+    logs = sorted(p.relative_to(path.parent) for p in path.parent.glob("*/*") if p.suffix.lower() in source_suffixes())
+    logs = logs or sorted(p.relative_to(path.parent) for p in path.parent.glob("*/*/*.csv"))
+    there = f"; the logs are perhaps {logs[0].as_posix()} and {len(logs) - 1} more files" if logs else ""
+    return f"one row a run ({', '.join([*runs, *results])}): a table of runs, and no log of one{there}"
 
 
 def _counts(one: Field) -> Array | NDArray[np.int64] | None:

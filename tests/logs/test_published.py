@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from missionsim.cli.app import run_command as main
 from missionsim.errors import InputError
 from missionsim.importer.mapping import import_source
 from missionsim.importer.suggest import Suggestion, suggest_map
@@ -241,3 +242,77 @@ def test_a_row_of_totals_at_the_end_is_left_out(tmp_path: Path) -> None:
     (log,) = import_source(path, load_map(tmp_path / "map.yaml"))
     assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-6)
     assert log.rows == 1200
+
+
+def test_a_folder_for_each_run_gives_the_runs_their_names(tmp_path: Path) -> None:
+    for run in ("R001_tile", "R002_grass"):
+        (tmp_path / "all" / run).mkdir(parents=True)
+        write_csv(tmp_path / "all" / run / "data.csv", table() | {"Power (W)": POWER})
+    made = tmp_path / "map.yaml"
+    assert main(["import", str(tmp_path / "all"), "--suggest", "--out", str(made), "--quiet"]) == 0
+    made.write_text(made.read_text() + "  surface: {file_name: [tile, grass]}\n")
+    for sources in ([tmp_path / "all"], [tmp_path / "all" / "*" / "data.csv"]):
+        logs = import_source(sources, load_map(made))
+        assert [log.run for log in logs] == ["R001_tile", "R002_grass"]
+    assert logs[1].columns["surface"].names == ("grass",)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"exp": [1, 2, 3], "floor": ["tile", "grass", "tile"], "duration_s": [84.7, 65.6, 47.1],
+         "mean_power_W": [24.9, 53.8, 28.6], "energy_Wh": [0.59, 0.98, 0.37]},
+        {"run": ["R001", "R002", "R003"], "floor": ["tile", "grass", "tile"], "payload_kg": [0.0, 10.0, 0.0]},
+    ],
+)  # fmt: skip
+def test_a_table_of_runs_is_no_log(tmp_path: Path, columns: dict[str, list[object]]) -> None:
+    (tmp_path / "R001").mkdir()
+    write_csv(tmp_path / "R001" / "data.csv", table() | {"Power (W)": POWER})
+    found = suggest_map([write_csv(tmp_path / "runs.csv", columns)])
+    assert any("one row a run" in told and "R001/data.csv" in told for told in found.missing)
+    assert "RATE" not in found.text
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "column"),
+    [
+        ("load_kg", 1.0, "payload_kg"),
+        ("carga (kg)", 1.0, "payload_kg"),
+        ("CPU%", 0.01, "cpu_load"),
+        ("GPU%", 0.01, "gpu_load"),
+        ("T_amb_degC", 1.0, "temp_ambient_c"),
+        ("cog_deg", np.pi / 180, "heading_rad"),
+        ("arm_current_A", 1.0, "arm_current_a"),
+    ],
+)
+def test_ordinary_names(tmp_path: Path, name: str, unit: float, column: str) -> None:
+    values = (20.0 + 5.0 * np.sin(TIME_S / 9.0)).round(3)
+    electric = {"battery_voltage_V": 24.0 - POWER / 1e3, "battery_current_A": POWER / (24.0 - POWER / 1e3)}
+    log, _ = imported(tmp_path, table() | electric | {name: values})
+    np.testing.assert_allclose(log.number(column), unit * values, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["SOG_kn", "linear.x", "sog (m/s)"])
+def test_ordinary_names_of_the_speed(tmp_path: Path, name: str) -> None:
+    factor = 1852 / 3600 if name == "SOG_kn" else 1.0
+    log, _ = imported(tmp_path, {"t": TIME_S, name: SPEED / factor, "Power (W)": POWER})
+    np.testing.assert_allclose(log.number("speed_m_s"), SPEED, atol=1e-6)
+
+
+@pytest.mark.parametrize("names", [["Wheel speed (rpm)"], ["left_rpm", "right_rpm"], ["wheel_rpm"]])
+def test_wheels_in_rpm_ask_for_their_radius(tmp_path: Path, names: list[str]) -> None:
+    turns = SPEED / 0.1 * 60 / (2 * np.pi)
+    path = write_csv(tmp_path / "run.csv", {"t": TIME_S, "Power (W)": POWER} | dict.fromkeys(names, turns))
+    found = suggest_map([path])
+    assert any("RADIUS" in told for told in found.missing)
+    (tmp_path / "map.yaml").write_text(found.text.replace("RADIUS m", "0.1 m"))
+    (log,) = import_source(path, load_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(log.number("speed_m_s"), SPEED, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["Energiezähler [Wh]", "Verbrauch (Wh)", "energía consumida (Wh)", "Énergie consommée (Wh)"]
+)
+def test_counters_of_other_languages(tmp_path: Path, name: str) -> None:
+    log, _ = imported(tmp_path, table() | {name: counted(POWER)})
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
