@@ -200,6 +200,8 @@ def _columns(
     spec, raw = mapper.spec, mapper.raw
     source = _taken(raw.columns, rows)
     result, helpers = mapper.evaluate(source)
+    helpers |= {name: data for name, data in result.items() if name.startswith("_")}
+    result = {name: data for name, data in result.items() if name not in helpers}
     if spec.others:
         result |= {name: data for name, data in source.items() if name not in result and name not in spec.signals}
     told = "'{}' is this very word in every row, although the source has a column of that name"

@@ -32,13 +32,12 @@ def suggest(draft: Draft) -> None:
         heights = draft.values(guess.field, guess.unit)
         if not np.ptp(heights[np.isfinite(heights)]):
             continue
-        why = f"'{guess.field}' over the way driven; averaged over 11 s"
-        draft.columns["climb_m_s"] = (
-            f"{{differentiate: {draft.ref(guess.field, 'z')}, average: 11 s}}",
-            replace(guess, sure="likely", why=f"rate of '{guess.field}'"),
-        )
+        why = f"'{guess.field}' over the way driven, both within {_WINDOW}"
+        told = replace(guess, sure="likely", why="a helper, which is no column of the log")
+        draft.columns["_climb_m_s"] = (f"{{differentiate: {draft.ref(guess.field, 'z')}, average: {_WINDOW}}}", told)
+        draft.columns["_driven_m_s"] = (f"{{value: abs(speed_m_s), average: {_WINDOW}}}", told)
         draft.columns["slope_rad"] = (
-            '"where(abs(speed_m_s) > 0.5, arctan(climb_m_s / max(abs(speed_m_s), 0.5)), 0)"',
+            '"where(_driven_m_s > 0.3, arctan(_climb_m_s / max(_driven_m_s, 0.3)), 0)"',
             Guess("slope", guess.field, "", 0.9, why, "likely"),
         )
     if "heading_rad" not in draft.columns:
@@ -47,6 +46,8 @@ def suggest(draft: Draft) -> None:
         draft.remarks.append("no speed was found: only what stands still can be explained without one")
 
 
+_WINDOW = "5 s"
+"""Over which a climb and the way driven are compared: over longer ones the slopes of a trip are flattened."""
 _MOVED_M = 0.5
 """A pose that reaches farther has moved."""
 
@@ -198,9 +199,9 @@ def _from_way(draft: Draft) -> None:
         told = replace(path[0][0], unit="", sure="likely", why="rate of the positions, without its sign")
         for axis, guess in zip("xy", path[0], strict=True):
             ref = _moving(draft, guess.field, axis)
-            draft.columns[f"v{axis}_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
+            draft.columns[f"_v{axis}_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
             draft.column(f"{axis}_m", ref, guess)
-        draft.column("speed_m_s", "hypot(vx_m_s, vy_m_s)", told)
+        draft.column("speed_m_s", "hypot(_vx_m_s, _vy_m_s)", told)
 
 
 def _wheels(draft: Draft, *wheels: Guess) -> None:

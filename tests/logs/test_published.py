@@ -316,3 +316,15 @@ def test_wheels_in_rpm_ask_for_their_radius(tmp_path: Path, names: list[str]) ->
 def test_counters_of_other_languages(tmp_path: Path, name: str) -> None:
     log, _ = imported(tmp_path, table() | {name: counted(POWER)})
     assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
+
+
+def test_slope_from_an_altitude_holds_at_starts_and_stops(tmp_path: Path) -> None:
+    time = 0.2 * np.arange(3000.0)
+    speed = np.clip(np.minimum((time % 60.0) - 8.0, 60.0 - time % 60.0) * 1.5, 0.0, 12.0)
+    way = np.cumsum(speed) * 0.2
+    slope = np.arctan(0.06 * np.cos(way / 50.0))
+    columns = {"t": time, "v (m/s)": speed, "Power (W)": 500.0 + 200 * speed, "altitude (m)": 3.0 * np.sin(way / 50.0)}
+    log, _ = imported(tmp_path, columns)
+    moves = speed > 0.5
+    assert np.sqrt(np.mean((log.number("slope_rad") - slope)[moves] ** 2)) < 0.01
+    assert not [name for name in log.columns if "climb" in name or name.startswith("_")]
