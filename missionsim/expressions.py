@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.numerals import counted
@@ -85,6 +86,27 @@ class Lag(NamedTuple):
     """Both: x and tau as functions of the formula's values."""
     place: Place
 
+    def x(self, values: Mapping[str, object]) -> float | NDArray[np.float64]:
+        """What lags, as `Expression.evaluate`."""
+        found: float | NDArray[np.float64] = _computed(self.signal, values, self.names, self.text, self.place)
+        return found
+
+
+def _computed(run: _Node, values: Mapping[str, object], names: frozenset[str], source: str, place: Place) -> Any:
+    """What a formula or a part of one gives. Raises InputError: where it computes with words."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        try:
+            return run(values)
+        except (TypeError, ValueError) as problem:
+            of_words = ((name, values.get(name)) for name in sorted(names))
+            texts = [name for name, value in of_words if hasattr(value, "equals") or isinstance(value, str)]
+            if not texts and not any(quote in source for quote in "'\""):
+                raise
+            told = f"{' and '.join(texts)}, which holds words" if texts else "words"
+            message, name = f"the formula computes with {told}", (*texts, "surface")[0]
+            allowed = f"words in comparisons only, such as k * ({name} == 'name')"
+            raise InputError(place.fault(message, got=source, allowed=allowed)) from problem
+
 
 @dataclass(frozen=True)
 class Expression:
@@ -101,18 +123,7 @@ class Expression:
 
     def evaluate(self, values: Mapping[str, object]) -> object:
         """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            try:
-                result = self._run(values)
-            except (TypeError, ValueError) as problem:
-                of_words = ((name, values.get(name)) for name in sorted(self.names))
-                texts = [name for name, value in of_words if hasattr(value, "equals") or isinstance(value, str)]
-                if not texts and not any(quote in self.source for quote in "'\""):
-                    raise
-                told = f"{' and '.join(texts)}, which holds words" if texts else "words"
-                message, name = f"the formula computes with {told}", (*texts, "surface")[0]
-                allowed = f"words in comparisons only, such as k * ({name} == 'name')"
-                raise InputError(self.place.fault(message, got=self.source, allowed=allowed)) from problem
+        result = _computed(self._run, values, self.names, self.source, self.place)
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
     def proportional_to(self, name: str) -> bool:

@@ -167,8 +167,7 @@ class PowerModel:
         full = self.complete(cov, values)
         if any(need not in full for need in term.effect.needs):
             raise InputError(self.lacking(full, term.key.battery))
-        found: Value = lag.signal({**aliased(full), **self._values(term, values)})
-        return found
+        return lag.x({**aliased(full), **self._values(term, values)})
 
     def time_constant(self, name: str, values: Mapping[str, Value]) -> Value:
         """The time constant of a lag [s]."""

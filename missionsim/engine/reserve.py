@@ -98,14 +98,16 @@ class Homing:
 
 def _leg(like: Leg, way: Way) -> Leg:
     speed = min(like.speed_m_s, way.max_speed_m_s)
+    base = like.beside or like.settings  # an edge's own floor, slope and conditions end with it
     return Leg(
         "roll",
-        along(like.settings, way),
+        along(base, way),
         way.length_m,
         speed,
         instant=like.instant,
         place=way.end,
         edge=OnEdge(way.begin, way.end, way.edge, 0.0, way.length_m),
+        beside=base,
     )
 
 
@@ -151,7 +153,7 @@ def home_energies(
                 clock = row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
             # rounds that are repeated have the same ways home
             warm = () if last is None else tuple(float(values[last]) for values in lags.values())
-            key = place, driven.settings, driven.speed_m_s, driven.instant, warm, clock
+            key = place, driven.beside or driven.settings, driven.speed_m_s, driven.instant, warm, clock
             if key not in ways:
                 ways[key] = [_leg(driven, way) for way in home]
         keys.append(key)

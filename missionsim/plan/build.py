@@ -309,7 +309,7 @@ class _Builder(Asked):
             ] or pieces
         for low, high, here in pieces:
             edge = OnEdge(way.begin, way.end, way.edge, way.length_m * low, way.length_m * high)
-            self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge)
+            self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge, beside=base)
         self.legs[-1] = self.legs[-1]._replace(place=way.end)
 
     def _ahead(self, kind: Kind, segment: SegmentSpec, base: Settings, metres: float, pace: Pace, **more: Any) -> None:

@@ -172,7 +172,7 @@ class Leg(NamedTuple):
     """The smallest part of a plan over which nothing but the motion itself changes."""
 
     kind: Kind
-    """``roll`` (straight or arc), ``turn`` on the spot, ``slide`` (sideways or diagonal), ``stand``, ``dock``."""
+    """``roll`` (straight or arc), ``turn`` on the spot, ``slide`` (sideways), ``stand`` (`duration_s`), ``dock``."""
     settings: Settings
     distance_m: float = 0.0
     speed_m_s: float = 0.0
@@ -185,13 +185,13 @@ class Leg(NamedTuple):
     yaw_rate_rad_s: float = 0.0
     """Both: signed angle and limit of the yaw rate of a `turn`."""
     duration_s: float = 0.0
-    """Of a `stand`."""
     instant: bool = False
     """Speeds are reached at once (``profile: constant_speed``)."""
     place: str = ""
     """Place reached, or held, at the end."""
     edge: OnEdge | None = None
-    """The part of an edge that is driven, where the mission has a map."""
+    beside: Settings | None = None
+    """Both: the part of an edge that is driven, and the settings without its own; None without a map."""
     first: bool = False
     last: bool = False
     """Both: whether a segment begins or ends here."""

@@ -250,6 +250,17 @@ def test_a_charger_that_is_too_weak_is_told() -> None:
     assert result.duration_s == pytest.approx(60.0)
 
 
+def test_what_an_edge_has_of_its_own_ends_with_it_on_the_way_home() -> None:
+    """The way home from a cold, muddy edge was taken as cold and muddy to the dock."""
+    cold = {"from": "middle", "to": "aside", "surface": "mud", "temperature": "5 degC"}
+    site = {**PLACES, "edges": [*PLACES["edges"][:2], cold], "ambient": {"temperature": "20 degC"}}
+    sizes = {"surface_rolling_resistance": {"k_mud": "40 N"}, "temperature_friction": {"k": "2 N/K", "T0": "20 degC"}}
+    effects = [{"effect": name, "battery": "main", "parameters": own} for name, own in sizes.items()]
+    result = run([{"drive": {"to": "aside", "speed": 1.0}}], simple(effects=effects), site, start="dock")
+    # 30 m of mud at 30 + 40 + 30 W, 50 m of floor at 30 W
+    assert result.batteries["main"].home_wh == pytest.approx((30.0 * 100.0 + 50.0 * 30.0) / 3600.0)
+
+
 def test_reserve_for_the_way_home_at_each_place() -> None:
     result = run(
         [{"drive": {"to": "end", "speed": 1.0}}, {"drive": {"to": "aside", "speed": 0.5}}, {"wait": {"duration": 60}}],

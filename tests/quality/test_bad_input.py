@@ -64,6 +64,14 @@ def run_with(folder: Path, robot: tuple[str, str] = ("", ""), mission: tuple[str
         (("", ""), ("2 min", "1e308 s"), "at most 1e+09 s"),
         (("mass: 30 kg", "mass: 30 kg, max_acceleration: 1e-300 m/s^2"), ("", ""), "1e-06 to 50 m/s^2"),
         ((MOTION, "model: expression, power: k*v*scheme, parameters: {k: 3}"), ("", ""), "holds words"),
+        (
+            (
+                "schemes:",
+                "effects: [{name: own, battery: main, power: 'k * lag(2*fan, 3)', parameters: {k: 1}}]\nschemes:",
+            ),
+            ("distance: 40 m", "distance: 40 m, conditions: {fan: fast}"),
+            "holds words",
+        ),
         ((MOTION, "model: expression, power: 9**9**9**9"), ("", ""), "not a number in segment"),
         (("c2: 4", "c2: 1e308"), ("2 min", "2 h"), "not a number in segment"),
         (
