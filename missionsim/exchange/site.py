@@ -139,7 +139,10 @@ class Site:
 
     def plane(self, points: Sequence[tuple[float, float]]) -> LocalPlane:
         """Metres around the middle of (latitude, longitude) points, degrees, to 1e-6; noted in the environment."""
-        plane = LocalPlane(*(round((min(values) + max(values)) / 2, 6) for values in zip(*points, strict=True)))
+        latitudes, longitudes = zip(*points, strict=True)
+        first = longitudes[0]  # on whose side of 180° the others lie
+        near = [first + (longitude - first + 180.0) % 360.0 - 180.0 for longitude in longitudes]
+        plane = LocalPlane(*(round((min(values) + max(values)) / 2, 6) for values in (latitudes, near)))
         self.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
         return plane
 

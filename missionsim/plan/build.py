@@ -309,7 +309,10 @@ class _Builder(Asked):
             ] or pieces
         for low, high, here in pieces:
             edge = OnEdge(way.begin, way.end, way.edge, way.length_m * low, way.length_m * high)
-            self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge, beside=base)
+            # other ways have the distance to an access point of this one (assumed)
+            near = {name: metres for name, metres in here.extra if spots and name == "access_point_distance_m"}
+            beside = base._replace(extra=tuple(sorted({**dict(base.extra), **near}.items()))) if near else base
+            self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge, beside=beside)
         self.legs[-1] = self.legs[-1]._replace(place=way.end)
 
     def _ahead(self, kind: Kind, segment: SegmentSpec, base: Settings, metres: float, pace: Pace, **more: Any) -> None:

@@ -112,6 +112,16 @@ def test_track_gets_smoothed_slopes_and_names(tmp_path: Path) -> None:
     assert {"top", "hut"} <= set(site.places)
 
 
+def test_a_track_across_the_antimeridian_is_as_long_as_it_is(tmp_path: Path) -> None:
+    """110 m were 39,470,272 m: the middle of 179.9995° and -179.9995° was 0°."""
+    points = "".join(f'<trkpt lat="10" lon="{longitude}"/>' for longitude in (179.9995, 180.0, -179.9995))
+    path, out = tmp_path / "line.gpx", tmp_path / "site.yaml"
+    path.write_text(f"<gpx><trk><name>line</name><trkseg>{points}</trkseg></trk></gpx>")
+    write_site(import_site(path), out)
+    lengths = ways(load_environment(out))
+    assert sum(lengths.values()) / 2 == pytest.approx(109.6, abs=0.1)  # 0.001° of the parallel of 10°
+
+
 def test_plan_becomes_a_mission(tmp_path: Path) -> None:
     for name in ("rover.waypoints", "rover.plan"):
         mission = written(name, tmp_path)
