@@ -14,6 +14,9 @@ _SLOW_SHARE = 0.3
 """Share of repeated neighbours above which a column may come from a slower topic."""
 _SLOWEST_S = 15.0
 """A refresh slower than this is not a topic's rate but a value that stays."""
+_EVEN = 0.5
+"""Part of the time that rows about a usual step apart must make: else a row is written when something happens, such as
+the two ends of each interval of a simulation, which say nothing of a rate."""
 _PLATEAUS = 8
 """Of no more distinct values, equal ones are plateaus."""
 _SHORT = 0.05
@@ -61,7 +64,10 @@ def refreshes(values: Array, time_s: Array, period_s: float | None = None) -> Re
     if alive.sum() < 4:
         return None
     lengths = lengths[alive]
-    step_s = float(np.median(np.diff(time_s[: min(n, 20000)])))
+    steps_s = np.diff(time_s[: min(n, 20000)])
+    step_s = float(np.median(steps_s))
+    if steps_s[steps_s < 2.0 * step_s].sum() < _EVEN * steps_s.sum():
+        return None
     typical = float(np.median(lengths)) if period_s is None else period_s / step_s
     distinct = len(np.unique(values[starts[:2000]]))
     regular = np.abs(lengths - typical) <= max(1.0, 0.35 * typical)

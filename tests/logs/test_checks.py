@@ -608,6 +608,10 @@ def test_refreshes_period() -> None:
     assert refreshes(rng.normal(size=1000), time) is None
     assert refreshes(np.full(1000, 3.0), time) is None
     assert refreshes(np.repeat([1.0, 2.0, 1.0, 2.0], 250), time) is None
+    # two rows for each interval of a simulation, its two ends, are no meter of half the rate
+    begins = np.cumsum(rng.uniform(0.2, 60.0, 200))
+    ends = np.append(begins[1:] - 1e-6, begins[-1] + 1.0)
+    assert refreshes(np.repeat(rng.normal(size=200), 2), np.column_stack([begins, ends]).ravel()) is None
 
 
 def test_a_rounded_topic_that_reads_the_same_again_was_refreshed() -> None:
