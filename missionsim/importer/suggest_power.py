@@ -262,7 +262,7 @@ def _from_drivers(draft: Draft) -> list[str]:
 
 
 def _rows(draft: Draft, sources: list[str]) -> None:
-    """Which rows: those of the power in a recording; one a refresh where it is repeated; means of a fast logger."""
+    """Which rows: those of the power in a recording; means of a fast logger."""
     if not draft.direct:
         alias = next(alias for alias, name in draft.signals.items() if name == sources[-1])
         draft.head["timeline"] = f"{alias}  # rows where the power is measured, so that it is never made up"
@@ -279,9 +279,8 @@ def _rows(draft: Draft, sources: list[str]) -> None:
     # a voltage in rough steps repeats as well; the current tells
     meters = sources[1::2] or sources
     step = float(np.median(np.diff(times))) if known.sum() > 2 else 1.0
-    if set(meters) <= set(slow):
-        draft.head["refresh"] = f"[{', '.join(draft.ref(name, 'meter') for name in slow)}]  # a slow topic in fast rows"
-    elif 0 < step < 0.04 and "rate" not in draft.head.get("constants", ""):
+    # a held meter stays in its rows, where each refresh counts once: `refresh:` is for one that averages in between
+    if not set(meters) <= set(slow) and 0 < step < 0.04 and "rate" not in draft.head.get("constants", ""):
         draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
 
 

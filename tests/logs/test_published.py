@@ -328,3 +328,11 @@ def test_slope_from_an_altitude_holds_at_starts_and_stops(tmp_path: Path) -> Non
     moves = speed > 0.5
     assert np.sqrt(np.mean((log.number("slope_rad") - slope)[moves] ** 2)) < 0.01
     assert not [name for name in log.columns if "climb" in name or name.startswith("_")]
+
+
+def test_a_held_meter_is_left_in_its_rows(tmp_path: Path) -> None:
+    held = POWER[np.arange(1200) // 10 * 10]
+    log, found = imported(tmp_path, table() | {"Power (W)": held})
+    assert not {"refresh", "step"} & set(found.text.replace(":", " ").split())
+    assert log.rows == 1200
+    assert 80 < log.fresh["robot"].sum() <= 120  # at rest the readings are alike
