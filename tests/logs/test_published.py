@@ -114,6 +114,11 @@ def test_what_goes_back_alone_is_asked_about_and_another_counter_told(tmp_path: 
     assert any("Energy B (Wh)" in told for told in found.remarks)
 
 
+def test_both_sides_of_a_converter_are_no_two_directions(tmp_path: Path) -> None:
+    _, found = imported(tmp_path, table() | {"Power in, first side (W)": OUT + 9.0, "Power out (W)": 0.9 * OUT + 1.0})
+    assert "subtracted" not in found.text
+
+
 @pytest.mark.parametrize("wraps", [False, True])
 def test_a_counter_that_begins_anew_loses_nothing(tmp_path: Path, wraps: bool) -> None:
     energy = counted(OUT)
