@@ -115,7 +115,7 @@ def test_what_goes_back_alone_is_asked_about_and_another_counter_told(tmp_path: 
 
 
 def test_both_sides_of_a_converter_are_no_two_directions(tmp_path: Path) -> None:
-    _, found = imported(tmp_path, table() | {"Power in, first side (W)": OUT + 9.0, "Power out (W)": 0.9 * OUT + 1.0})
+    _, found = imported(tmp_path, table() | {"Power in at the plug (W)": OUT + 9.0, "Power out (W)": 0.9 * OUT + 1.0})
     assert "subtracted" not in found.text
 
 
