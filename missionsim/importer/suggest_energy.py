@@ -36,6 +36,7 @@ def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Gue
     alike = [one for one in draft.best(guess.role) if one.field != guess.field]
     ref, mine = draft.ref(guess.field, alias), words_of(guess.field)[0]
     back = [one for one in alike if goes_back(one) or re.search(r"\bin\b", words_of(one.field)[0])]
+    back = [one for one in back if _by_turns(draft, guess, one)]
     if back and re.search(_OUT, mine):
         other = draft.values(back[0].field)
         known = other[np.isfinite(other)]
@@ -51,6 +52,16 @@ def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Gue
         draft.remarks.append(f"there is another counter, which was neither added nor subtracted: {others}")
         guess = replace(guess, sure="a guess")
     return guess, ref
+
+
+def _by_turns(draft: Draft, one: Guess, other: Guess) -> bool:
+    """Whether two meters hardly ever run at once: of both directions, and not the two sides of a converter."""
+    both = [draft.values(guess.field) for guess in (one, other)]
+    flows = [np.abs(np.diff(values) if one.role == "energy" else values) for values in both]
+    if len(flows[0]) != len(flows[1]):
+        return False
+    runs = [flow > 0.02 * float(np.nanmax(flow)) for flow in flows]
+    return float(np.mean(runs[0] & runs[1])) < 0.1
 
 
 def _size(guess: Guess) -> float:
