@@ -231,8 +231,10 @@ def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np
             continue
         with np.errstate(invalid="ignore"):
             spread = np.fmax.reduceat(data, starts) - np.fmin.reduceat(data, starts)
-            change = float(np.nanmedian(np.abs(np.diff(np.asarray(means[name])))))
-            apart = float(np.nanmedian(spread[np.diff(np.r_[starts, n]) > 1]))
+            both = np.abs(np.diff(np.asarray(means[name]))), spread[np.diff(np.r_[starts, n]) > 1]
+        if not all(np.isfinite(one).any() for one in both):
+            continue
+        change, apart = (float(np.nanmedian(one)) for one in both)
         if apart > _APART * change and change > 0.0:
             told = (
                 f"rows of several recordings in turn: {name} differs by {apart:.4g} at one time, by {change:.4g} after"
