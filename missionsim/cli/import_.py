@@ -85,8 +85,7 @@ def import_(
     if other and (long := import_long(sources[0], spec, target)) is not None:
         return _told([long], [target], (), sources, map_, to)
     logs = import_source(sources, spec, None if strict else left_out)
-    faulty = [remark.fault(log.source) for log in logs for remark in log.remarks if _lost(remark)]
-    if strict and faulty:
+    if strict and (faulty := [r.fault(log.source) for log in logs for r in log.remarks if _lost(r)]):
         raise InputError(faulty)
     targets = _targets(logs, out)
     read = {Path(log.source).resolve() for log in logs if log.source}

@@ -28,6 +28,7 @@ from missionsim.inputs.loading import robot_from_text
 from missionsim.labels import Labels
 from missionsim.numerals import counted
 from missionsim.physics import Array
+from missionsim.physics.motion import inertial_power
 from missionsim.runs.covariates import COVARIATES
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -288,7 +289,7 @@ def _ramps(cov: Mapping[str, Any]) -> dict[str, Array]:
     """Rate of half the speed's square while a robot speeds up and while it brakes [m²/s³], where both are known."""
     if not {"speed_m_s", "accel_m_s2"} <= cov.keys():
         return {}
-    rate = np.nan_to_num(np.asarray(cov["speed_m_s"]) * np.asarray(cov["accel_m_s2"]))
+    rate = np.nan_to_num(inertial_power(cov["speed_m_s"], cov["accel_m_s2"], 1.0, 1.0))
     return {"speeding up": np.maximum(rate, 0.0), "braking": np.minimum(rate, 0.0)}
 
 

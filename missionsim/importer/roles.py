@@ -217,6 +217,11 @@ class Guess:
         return f"{self.role}{f' in {self.unit}' if self.unit else ''} ({self.sure})"
 
 
+def size_of(unit: str) -> float:
+    """How much of the glossary's unit one of a map's units is; 1 where none is named."""
+    return UNITS[unit][1] if unit else 1.0
+
+
 def folded(field: Field) -> str | None:
     """Why a listing need not show a field, such as ``constant`` or ``empty``; None where it should."""
     if re.search(r"covariance|header\.(stamp|seq)|\.name\[\d+\]$", field.name):
@@ -299,12 +304,12 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     else:
         # without a unit the glossary's, unless the values are far too large for it
         sizes = WORDS["sizes"].get(role.dimension, {}) if not unit and role.name not in ("left", "right") else {}
-        fits = (u for u, limit in sizes.items() if large <= limit and large * (UNITS[u][1] if u else 1.0) <= role.high)
+        fits = (u for u, limit in sizes.items() if large <= limit and large * size_of(u) <= role.high)
         if by_size := next(fits, ""):
             unit = by_size
             reasons.append(f"{unit} by its size (up to {large:.4g})")
             score -= 0.2
-        factor = UNITS[unit][1] if unit else 1.0
+        factor = size_of(unit)
     if not role.low <= large * factor <= role.high:
         score -= 0.7
         reasons.append(f"its values, up to {large:.4g}, do not fit well")

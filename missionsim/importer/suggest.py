@@ -15,7 +15,7 @@ import numpy as np
 from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_motion, suggest_power
-from missionsim.importer.roles import ROLES, UNITS, Field, Guess, fields_of, guess_all, guess_role
+from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all, guess_role, size_of
 from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted
 from missionsim.importer.suggest_runs import one_row_a_run, recognised_runs
@@ -70,7 +70,7 @@ class Draft:
 
     def values(self, name: str, unit: str = "") -> Array:
         """Numbers of a field in the glossary's unit."""
-        return np.asarray(self.fields[name].values, dtype=np.float64) * (UNITS[unit][1] if unit else 1.0)
+        return np.asarray(self.fields[name].values, dtype=np.float64) * size_of(unit)
 
     def ref(self, name: str, alias: str) -> str:
         """How a formula names a field: itself, or a short name in `signals`."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.importer.roles import UNITS, Field, Guess, words_of
+from missionsim.importer.roles import Field, Guess, size_of, words_of
 from missionsim.logs.clean import without_resets
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Gue
         other = draft.values(back[0].field)
         known = other[np.isfinite(other)]
         flow = float(known[-1] - known[0]) if guess.role == "energy" else float(known.sum())
-        sign, ratio = "+" if flow < 0 else "-", _size(back[0]) / _size(guess)
+        sign, ratio = "+" if flow < 0 else "-", size_of(back[0].unit) / size_of(guess.unit)
         formula = f"{ref} {sign} {draft.ref(back[0].field, f'{alias}_back')}" + (
             f" * {ratio:g}" if ratio != 1.0 else ""
         )
@@ -64,8 +64,9 @@ def _by_turns(draft: Draft, one: Guess, other: Guess) -> bool:
     return float(np.mean(runs[0] & runs[1])) < 0.1
 
 
-def _size(guess: Guess) -> float:
-    return UNITS[guess.unit][1] if guess.unit else 1.0
+def negated(formula: str) -> str:
+    """A formula of the other sign."""
+    return f"-({formula})" if " " in formula else f"-{formula}"
 
 
 def from_counter(draft: Draft) -> list[str]:
@@ -85,8 +86,7 @@ def from_counter(draft: Draft) -> list[str]:
         falls = int((step < 0).sum()) > int((step > 0).sum())
         guess, ref = net(draft, guess, "energy", told=True)
         why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
-        formula = (f"-({ref})" if " " in ref else f"-{ref}") if falls else ref
-        draft.column("energy_robot_wh", formula, replace(guess, why=why))
+        draft.column("energy_robot_wh", negated(ref) if falls else ref, replace(guess, why=why))
         return [guess.field]
     return []
 
@@ -97,7 +97,7 @@ def _per_row(draft: Draft, guess: Guess) -> list[str]:
     if usual <= 0 or float(np.mean(np.abs(steps - usual) > 0.2 * usual)) > 0.05:
         draft.missing.append(f"'{guess.field}' is the energy of each row, and rows last differently long")
         return []
-    formula = f"{draft.ref(guess.field, 'energy')} * {_size(guess) * 3600.0 / usual:.6g}"
+    formula = f"{draft.ref(guess.field, 'energy')} * {size_of(guess.unit) * 3600.0 / usual:.6g}"
     why = f"{guess.why}; it goes up and down, so it is no counter but the energy of each row, of {usual:.4g} s"
     draft.column("power_robot_w", formula, replace(guess, unit="", sure="a guess", why=why))
     return [guess.field]

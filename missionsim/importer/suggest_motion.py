@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from missionsim.importer import transform
-from missionsim.importer.roles import UNITS, WORDS, Field, Guess, words_of
+from missionsim.importer.roles import WORDS, Field, Guess, size_of, words_of
 from missionsim.importer.sources import identifier
 from missionsim.labels import Labels
 from missionsim.physics import Array
@@ -190,7 +190,7 @@ def _from_way(draft: Draft) -> None:
     for guess in draft.best("distance", 0.5) if draft.direct else ():
         values = draft.values(guess.field)
         if (np.diff(values[np.isfinite(values)]) >= 0).mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
-            factor = UNITS[guess.unit][1] if guess.unit else 1.0
+            factor = size_of(guess.unit)
             ref = draft.ref(guess.field, "way") + (f" * {factor:g}" if factor != 1.0 else "")
             told = replace(guess, unit="", sure="likely", why=f"rate of '{guess.field}', without its sign")
             draft.columns["speed_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
@@ -210,7 +210,7 @@ def _wheels(draft: Draft, *wheels: Guess) -> None:
     mean = np.asarray(sum(draft.values(one.field, one.unit) for one in wheels)) / len(wheels)
     told = "the mean of both wheels" if len(wheels) > 1 else "the wheel"
     unit = wheels[0].unit if len({one.unit for one in wheels}) == 1 else ""
-    factor = (UNITS[unit][1] if unit else 1.0) / len(wheels)
+    factor = size_of(unit) / len(wheels)
     formula = f"({' + '.join(refs)})" if len(refs) > 1 else refs[0]
     if factor != 1.0:
         formula += f" * {factor:.10g}" if unit else f" / {len(wheels)}"
@@ -307,7 +307,7 @@ def suggest_others(draft: Draft) -> None:
                 continue
             if not np.ptp(known):
                 continue
-            factor = UNITS[guess.unit][1] if guess.unit else 1.0
+            factor = size_of(guess.unit)
             name = identifier(words.replace(" ", "_"))
             ref = draft.ref(guess.field, name)
             why = "a consumer of its own, for an effect of yours"

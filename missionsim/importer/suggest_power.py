@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.importer.roles import UNITS, Guess, folded, words_of
-from missionsim.importer.suggest_energy import from_counter, goes_back, net, sum_of_cells
+from missionsim.importer.suggest_energy import from_counter, goes_back, negated, net, sum_of_cells
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -160,7 +160,7 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
     guess, formula = net(draft, guess, "watts")
     if np.nanmean(watts) < 0:
         guess = replace(guess, why=f"{guess.why}; negative on average, a log counts what is delivered as positive")
-        formula = f"-({formula})" if " " in formula else f"-{formula}"
+        formula = negated(formula)
     draft.column("power_robot_w", formula, guess)
     if pair is not None and _beside(draft, guess, pair[0]):
         draft.column("voltage_robot_v", draft.ref(pair[0].field, "volts"), pair[0])

@@ -238,7 +238,7 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
 def _mark_of_thousands(words: Sequence[str], decimal: str) -> str:
     """What stands before every third digit in the numbers of a column, and nowhere else; empty where nothing does.
     A number that begins with nought has its decimals behind the mark."""
-    for mark in {".", ",", "'", "’"} - {decimal}:
+    for mark in (mark for mark in ".,'’" if mark != decimal):
         marked = [word.strip() for word in words if mark in word]
         whole = rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+(?:{re.escape(decimal)}\d*)?"
         if marked and all(re.fullmatch(whole, word) for word in marked):
