@@ -208,9 +208,10 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         b.family("cpu_load", "tanh(cpu_load / #)", "tanh(load/#)", 2, SATURATES, (0.3,))
         b.beyond("cpu_load", (0.5,))
         b.late("cpu_load", "cpu_load", "load")
-    if b.has("speed_m_s") and b.has("heading_rad"):  # a wind, or a field that leans one way
-        leans = ("abs(speed_m_s) * cos(heading_rad - #)", "v·cos(heading − #)")
-        b.family("heading_rad", *leans, 2, AROUND, AROUND[::3], alone=True)
+    if b.has("speed_m_s") and b.has("heading_rad"):  # a field that leans one way, drag in a slow current or wind
+        for power, shown in (("", "v"), ("**2", "v²")):
+            leans = (f"abs(speed_m_s){power} * cos(heading_rad - #)", f"{shown}·cos(heading − #)")
+            b.family("heading_rad", *leans, 2, AROUND, AROUND[::3], alone=True)
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name) and (clocks or name != "time_s"):
             b.powers(name, name, SYMBOLS[name], powers)

@@ -19,6 +19,7 @@ from missionsim.runs.covariates import may_be_cause, remarks_on, repeated
 from .found import identified, law_of, run_of
 
 LEANS = "k * abs(speed_m_s) * cos(heading_rad - #)"
+BREEZE = "k * abs(speed_m_s)**2 * cos(heading_rad - #)"
 
 
 def drives() -> list[dict[str, Any]]:
@@ -228,10 +229,11 @@ def test_few_runs_show_no_long_products(runs: int, far_off: int, close: int) -> 
 
 
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize("logged", [True, False])
-def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
+@pytest.mark.parametrize("what", ["logged wind", "field that leans", "current"])
+def test_what_comes_from_a_direction_of_the_compass(what: str) -> None:
     """A wind of which the strength is logged, and a field that leans without an inclinometer: 29 W off and "log it as a
-    column" before."""
+    column" before. A slow current that nobody logs, beside the drag of water at rest: it was taken for such a field."""
+    logged = what == "logged wind"
     rng, runs = np.random.default_rng(4), []
     for number in range(5):
         rows, wind = 1200, [5.0, 3.0, 7.0, 1.0, 4.0][number]
@@ -240,16 +242,22 @@ def test_what_comes_from_a_direction_of_the_compass(logged: bool) -> None:
         through = speed + wind * np.cos(heading - 0.8)
         costs = speed * through * np.abs(through) if logged else 35.0 * speed * np.cos(heading - 0.8)
         gradient = {"c3": 40.0 * speed, "c4": 30.0 * (speed > 0), "standing": 25.0 * (speed == 0)}
+        if what == "current":
+            gradient["c2"] = 60.0 * speed**3
+            costs = 60.0 * ((speed + 0.1 * np.cos(heading - 0.8)).clip(0.0) ** 3 * (speed > 0) - speed**3)
         columns = {"speed_m_s": speed, "heading_rad": heading} | ({"wind_m_s": np.full(rows, wind)} if logged else {})
         runs.append(run_of(number, gradient, costs + 1.5 * rng.standard_normal(rows), **columns))
-    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05)
+    made = law_of(runs, c3=0.05, c4=0.05, standing=0.05, **({"c2": 0.05} if what == "current" else {}))
     through_air = "(abs(speed_m_s) + wind_m_s * cos(heading_rad - #))"
     formula = f"k * abs(speed_m_s) * {through_air} * abs{through_air}" if logged else LEANS
+    formula = BREEZE if what == "current" else formula
     told = re.sub(r"(?<=heading_rad - )[\d.]+", "#", made.first.formula)
     assert told == formula
     for angle in re.findall(r"heading_rad - ([\d.]+)", made.first.formula):
         assert float(angle) == pytest.approx(0.8, abs=0.03)
-    assert made.first.k == pytest.approx(1.0 if logged else 35.0, rel=0.03)
+    # 3 * 60 * 0.1 is the slope of the cube in the current
+    k = {"logged wind": 1.0, "field that leans": 35.0, "current": 18.0}[what]
+    assert made.first.k == pytest.approx(k, rel=0.03)
     assert "heading_rad" in made.certain
 
 
