@@ -17,7 +17,8 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
-from missionsim.importer.sources import find_sources, read_source, table_options, with_names
+from missionsim.importer.run_table import Piece, RunTables, table_path
+from missionsim.importer.sources import Source, find_sources, read_source, table_options, with_names
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
@@ -29,9 +30,6 @@ from missionsim.logs.readers import reader_of
 from missionsim.logs.times import close_jumps
 from missionsim.physics import Array
 from missionsim.runs.run import Run
-
-Piece = tuple[str, NDArray[np.int64]]
-"""Name of a run, and its rows in the source."""
 
 
 def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[Piece]:
@@ -108,11 +106,16 @@ def import_source(
     logs: list[Run] = []
     faults: list[Fault] = []
     omitted: list[Fault] = []
-    for one in find_sources([Path(path) for path in given], spec):
+    tables = RunTables(spec)
+    found = find_sources([Path(path) for path in given], spec)
+    alike = [one for one in found if (table := table_path(spec, one.path)) is None or not table.samefile(one.path)]
+    for one in alike:
         try:
             raw = read_source(one, spec)
             mapper = Mapper(spec, raw, one.name)
-            for run, inside in split_runs(raw, one.name, spec, mapper.time(raw.columns)):
+            pieces = split_runs(raw, one.name, spec, mapper.time(raw.columns))
+            tables.join(raw, one, pieces)
+            for run, inside in pieces:
                 result, signals, number, remarks = _columns(mapper, inside)
                 told: list[Remark] = []
                 for name, rows in split_at_gaps(run, np.asarray(result["time_s"]), spec.runs, told):
@@ -123,11 +126,12 @@ def import_source(
             if left_out is None:
                 raise
             faults += error.faults
-            omitted += [_of_source(fault, one.path, spec) for fault in error.faults]
+            omitted += [_of_source(fault, one, (str(spec.path), *tables.files)) for fault in error.faults]
     if faults and not logs:
         raise InputError(faults)
     if left_out is not None:
         left_out += omitted
+    tables.tell(logs)
     if not logs:
         split = spec.keep or spec.runs.by
         message = (
@@ -137,11 +141,13 @@ def import_source(
     return logs
 
 
-def _of_source(fault: Fault, source: Path, spec: MapSpec) -> Fault:
-    """A fault of the map as one of the file that does not fit it: it is the file that is left out."""
-    if fault.file != str(spec.path):
+def _of_source(fault: Fault, source: Source, others: Sequence[str]) -> Fault:
+    """A fault of the map, or of a table of runs, as one of the file that does not fit it: it is the file that is left
+    out."""
+    if fault.file not in others:
         return fault
-    return replace(fault, file=str(source), line=0, column=0, message=f"{fault.message} ({spec.path}:{fault.line})")
+    at = f"({fault.file}:{fault.line})"
+    return replace(fault, file=str(source.path), line=0, column=0, message=f"{fault.message} {at}")
 
 
 class NotByBlocks(Exception):

@@ -151,6 +151,12 @@ def read_source(source: Source, spec: MapSpec) -> RawTable:
     and joined files have their time in ``time_s``, counted from the first row. Raises InputError: an unreadable source,
     or a signal that is not in it.
     """
+    if taken := spec.of_runs:  # joined when the runs are known; until then they have no value
+        others = {alias: signal for alias, signal in spec.signals.items() if alias not in taken}
+        raw = read_source(source, spec.model_copy(update={"signals": others}))
+        raw.columns |= {alias: np.full(raw.rows, np.nan) for alias in taken}
+        raw.names = tuple(dict.fromkeys([*raw.names, *taken]))
+        return raw
     if spec.files:
         return _joined(source, spec)
     reader = reader_of(source.path)

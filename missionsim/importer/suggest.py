@@ -14,11 +14,12 @@ import numpy as np
 
 from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
-from missionsim.importer import suggest_motion, suggest_power
+from missionsim.importer import suggest_further, suggest_motion, suggest_power
 from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all, guess_role, size_of
+from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted
-from missionsim.importer.suggest_runs import one_row_a_run, recognised_runs
+from missionsim.importer.suggest_runs import join_runs, one_row_a_run, recognised_runs, table_of_runs
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of
@@ -143,6 +144,8 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     `paths`: one file (the first of several of the same kind), or files of one run that have to be joined; `battery`:
     what the robot calls the battery that was measured. Raises InputError: a file that cannot be read.
     """
+    table = table_of_runs(paths)
+    paths = [path for path in paths if table is None or not path.samefile(table[0])]
     joined = _to_join(paths)
     draft = _joined(joined) if joined else _single(paths[0])
     if draft.direct:
@@ -151,9 +154,15 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
         draft.column("time_s", "time_s", Guess("time", "time_s", "", 2.0, "time of the messages", "sure"))
     suggest_power.suggest(draft)
     suggest_motion.suggest(draft)
-    suggest_motion.suggest_others(draft)
     if draft.direct:
         draft.head |= recognised_runs(draft.fields, draft.time_s, {draft.columns["time_s"][1].field})
+        if table is None and (by := re.match(r"\{by: \[(\w+)\]", draft.head.get("runs", ""))):
+            apart = next(one.values for name, one in draft.fields.items() if identifier(name) == by[1])
+            table = table_of_runs(paths, list(dict.fromkeys(keys_of(apart))))
+    if table is not None:
+        join_runs(draft, *table)
+    suggest_motion.suggest_others(draft)
+    suggest_further.suggest(draft)
     draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
     used = {guess.field for _, guess in draft.columns.values()}
     return Suggestion(

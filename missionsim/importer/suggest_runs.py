@@ -1,19 +1,28 @@
-"""Suggestions of how several runs in one table are told apart."""
+"""Suggestions of how several runs in one table are told apart, and of the table that has a row for each run."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import Field, words_of
+from missionsim.errors import InputError
+from missionsim.importer.roles import Field, fields_of, guess_all, words_of
+from missionsim.importer.run_table import keys_of, names_of_file, rows_called
 from missionsim.importer.sources import identifier
+from missionsim.importer.suggest_motion import quoted
 from missionsim.labels import Labels
 from missionsim.logs.readers import source_suffixes
+from missionsim.logs.times import is_stamp
 from missionsim.physics import Array
+
+if TYPE_CHECKING:
+    from missionsim.importer.suggest import Draft
 
 _RUN = re.compile(r"\b((test ?)?run|trip|session|experiment|config\w*|trial|fahrt|versuch)s?\d*\b")
 """Words of a column that tells runs apart: no part of a word, such as that of ground."""
@@ -56,6 +65,58 @@ def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: se
         return {"runs": f"{{by: [{', '.join(map(identifier, named))}]}}"}
     wide = step > max(60.0, 100 * usual)
     return {"runs": "{gap: 60 s}  # long holes in time"} if wide.any() else {}
+
+
+_TABLE_BYTES, _BESIDE = 1 << 20, 100
+"""Size of a table of runs at most, and files of a folder among which it is looked for (both assumed)."""
+_NO_CAUSE = ("power", "voltage", "current", "energy", "speed", "distance", "time")
+"""Roles of a column of runs that a run brought about, or that tell when it was."""
+_NUMBER = re.compile(r"\b(nr|no|num\w*|id|index|log|file|bag)\b")
+"""How a column is called whose numbers stand for runs."""
+_NOTES = re.compile(r"\b(notes?|comments?|remarks?|bemerkung\w*|kommentar\w*)\b")
+
+
+def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path, str, list[Field]] | None:
+    """The table beside some logs, or above them, that has a row for each: its path, the column that names the runs, and
+    its other columns; None where there is none. `runs`: where one log holds several, what tells them apart."""
+    names = [[run] for run in runs] or [names_of_file(path) for path in paths]
+    words = [one[-1].lstrip("0").encode() for one in names]
+    beside = dict.fromkeys(folder for path in paths for folder in (path.resolve().parent, path.resolve().parent.parent))
+    for file in (file for folder in beside for file in sorted(folder.glob("*.[ct]sv"))[:_BESIDE]):
+        if file.stat().st_size > _TABLE_BYTES or (len(paths) == 1 and file.samefile(paths[0])):
+            continue
+        text = file.read_bytes()
+        if not any(re.search(rb"\d+\Z", word) or word in text for word in words):
+            continue
+        try:
+            fields = fields_of(file)
+        except InputError:
+            continue
+        logs = [one for one, path in zip(names, paths, strict=True) if not file.samefile(path)] if not runs else names
+        for one in fields:
+            keys = keys_of(one.values)
+            if len(keys) < 2 or len(set(keys)) < len(keys) or len(fields) < 2:
+                continue
+            found = [rows_called(keys, log) for log in logs]
+            called = words_of(one.name)[0]
+            named = isinstance(one.values, Labels) or runs or _RUN.search(called) or _NUMBER.search(called)
+            met = {row for rows in found for row in rows}
+            if named and sum(map(bool, found)) > 0.5 * len(logs) and len(met) > (len(logs) > 1):
+                return file, one.name, [other for other in fields if other is not one]
+    return None
+
+
+def join_runs(draft: Draft, path: Path, key: str, columns: Sequence[Field]) -> None:
+    """Take what a table of runs says of the conditions of a run into a draft, as fields ``runs.column``."""
+    given = draft.head.get("runs", "{}")
+    more = ", " if given != "{}" else ""
+    draft.head["runs"] = given.replace("{", f"{{table: {quoted(path.name)}, key: {quoted(key)}{more}", 1)
+    for one in columns:
+        guess = guess_all([one]).get(one.name)
+        words = words_of(one.name)[0]
+        stamps = isinstance(one.values, Labels) and any(map(is_stamp, one.values.names[:1]))
+        if not (stamps or (guess and guess.role in _NO_CAUSE) or _RESULT.search(words) or _NOTES.search(words)):
+            draft.fields[f"runs.{one.name}"] = replace(one, name=f"runs.{one.name}", count=0)
 
 
 _RESULT = re.compile(r"\b(duration|mean|avg|average|dauer|mittel\w*|mittlere\w*|duree|moyenne|duracion|media)\b")

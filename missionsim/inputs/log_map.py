@@ -99,12 +99,18 @@ Target = Annotated[
 
 
 class RunsMap(Model):
-    """Where one file holds several runs."""
+    """Where one file holds several runs, and the table that has a row for each."""
 
     by: Names = ()
     restart: bool = False
     gap: Period | None = None
     shortest: Period | None = None
+    table: Text | None = None
+    key: Name | None = None
+
+    def _check(self) -> None:
+        if (self.table is None) != (self.key is None):
+            raise ValueError("'table' and 'key' go together")
 
 
 class TableMap(Model):
@@ -145,6 +151,9 @@ class MapSpec(FileModel):
                 found.extend(error.faults)
         # a column whose mapping is at fault is missing from `columns`, but not from the file
         present = {*self.columns, *document.names("columns")}
+        if self.runs.table is not None and "runs" in self.files:
+            told = "'runs' is the table of runs"
+            found.append(document.fault(("files", "runs"), told, "runs", "another name for the file", key=True))
         if "time_s" not in present:
             allowed = "time_s: and a formula; for a bag or ULog `time_s: time_s`"
             message, hint = "the column 'time_s' is missing", did_you_mean("time_s", self.columns)
@@ -152,6 +161,12 @@ class MapSpec(FileModel):
         if not measured_batteries(present):
             found.append(document.fault(("columns",), "no battery is measured", allowed=MEASURED, key=True))
         return found
+
+    @property
+    def of_runs(self) -> dict[str, str]:
+        """Signals that the table of runs gives: short name → its column."""
+        given = {alias: signal.field.strip().partition(".") for alias, signal in self.signals.items()}
+        return {alias: name for alias, (start, _, name) in given.items() if start == "runs" and self.runs.table}
 
     def formulas(self) -> Iterable[tuple[tuple[str | int, ...], str]]:
         """Every formula of the map, with its path in the file."""

@@ -155,6 +155,40 @@ def test_numbers_in_an_array(tmp_path: Path) -> None:
     assert "data[0] × data[1] gives data[2]" in text
 
 
+# further numbers
+
+
+def further(bag: Bag, begin_s: float = 0.0) -> Bag:
+    """A brush that turns with a period of 7 s: a number without a unit, and a field of a message of its own."""
+    for i in range(1200):
+        t = 0.05 * i
+        bag.battery("/battery", t, battery_volts(t), -amps(t))
+        bag.odometry("/odom", t, speed(t))
+        if t >= begin_s:
+            bag.number("/brush_rpm", t, 1200.0 + 300.0 * math.sin(2 * math.pi * t / 7), "std_msgs/Float64")
+            fields = {"flow": 2.0 + math.sin(t / 3), "demand": battery_volts(t) * amps(t), "errors": i % 3}
+            bag.put("/cleaner/pump", t, "acme_msgs/Pump", header=bag.header(t), **fields)
+    return bag
+
+
+PUMP = "std_msgs/Header header\nfloat64 flow\nfloat64 demand\nint32 errors\nbool low\n"
+
+
+def test_a_further_number_is_kept_under_its_own_name(tmp_path: Path) -> None:
+    log, text = suggested(tmp_path, further(Bag(acme_msgs__Pump=PUMP)))
+    near(log.number("brush_rpm"), 1200.0 + 300.0 * np.sin(2 * np.pi * log.time_s / 7), 20.0)
+    near(log.number("pump_flow"), 2.0 + np.sin(log.time_s / 3), 0.1)
+    kept = text.split("# not used")[0]
+    assert "demand" not in kept  # the battery's power again
+    assert "header" not in kept
+
+
+def test_a_number_that_begins_late_takes_no_rows(tmp_path: Path) -> None:
+    log, text = suggested(tmp_path, further(Bag(acme_msgs__Pump=PUMP), begin_s=20.0))
+    assert log.duration_s == pytest.approx(60.0, abs=0.2)
+    assert "/brush_rpm.data" in text.split("# not used")[1]
+
+
 # motion
 
 
