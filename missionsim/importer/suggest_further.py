@@ -71,11 +71,12 @@ def _tells(draft: Draft, one: Field) -> bool:
 
 def _again(one: Field, known: list[Field]) -> bool:
     """Whether a field goes with one that is taken already, message by message."""
+    mine = np.asarray(one.values, dtype=np.float64)
     for other in known:
-        if isinstance(other.values, Labels) or len(other.values) != len(one.values):
+        if isinstance(other.values, Labels) or len(other.values) != len(mine):
             continue
-        both = np.isfinite(one.values) & np.isfinite(other.values)
-        pair = np.asarray(one.values)[both], np.asarray(other.values)[both]
+        both = np.isfinite(mine) & np.isfinite(other.values)
+        pair = mine[both], other.values[both]
         if len(pair[0]) > 2 and min(map(np.ptp, pair)) > 0 and abs(float(np.corrcoef(*pair)[0, 1])) > _SAME:
             return True
     return False
