@@ -20,6 +20,8 @@ from missionsim.effects.timeline import Timeline, integrate, within
 from missionsim.engine.curves import adaptive_runge_kutta, chebyshev, interpolants, root
 from missionsim.physics import Array, Value
 
+CHARGE_TOLERANCE = 1e-9
+"""Of the capacity: a charge that is less below empty, or below a reserve, is so by rounding."""
 CHARGING, HELD = 1, 2
 """What a charger does to a battery; more than 2 is charging in that piece of its taper, counted from 2."""
 Taper = tuple[tuple[float, float], ...]
@@ -185,8 +187,8 @@ class ConstantEnergy:
         return [*bends, (seconds, state)]
 
     def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
-        """Intervals that end below zero."""
-        return np.flatnonzero(after < 0.0)
+        """Intervals that end below zero, by more than rounding."""
+        return np.flatnonzero(after < -CHARGE_TOLERANCE * self.capacity_j)
 
     def empty_in(self, state: float, loads: Loads, interval: int) -> float | None:
         """Time at which the energy left comes to zero from above."""

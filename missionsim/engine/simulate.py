@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from missionsim.effects.model import PowerModel, TermKey
-from missionsim.engine.batteries import Battery, ConstantEnergy
+from missionsim.engine.batteries import CHARGE_TOLERANCE, Battery, ConstantEnergy
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, DrivenEdge, RunResult, edges_driven
@@ -35,7 +35,6 @@ MOST_ALARMS = 4
 MOST_RECHARGES = 500
 MOST_AUDIT_ERROR = 1e-9
 """Relative; rounding of a mission of 100,000 segments stays a thousand times below."""
-RESERVE_TOLERANCE = 1e-9
 
 
 class AuditError(Exception):
@@ -248,9 +247,9 @@ class RunSetup:
         for name in self.batteries:
             results[name] = made = self._battery_result(name, world, whole, alarms, energies[name], home.get(name))
             if made.empty_at_s is None and world.completed:
-                if made.charge_left_wh < made.reserve_required_wh - RESERVE_TOLERANCE * made.capacity_wh:
+                if made.charge_left_wh < made.reserve_required_wh - CHARGE_TOLERANCE * made.capacity_wh:
                     reasons.append(f"battery '{name}' ends below its reserve")
-                elif made.reserve_wh < -RESERVE_TOLERANCE * made.capacity_wh:
+                elif made.reserve_wh < -CHARGE_TOLERANCE * made.capacity_wh:
                     reasons.append(f"battery '{name}' cannot bring the robot home")
         mission, segments = self.mission, tuple(world.segments)
         warnings: tuple[Fault, ...] = ()

@@ -175,11 +175,13 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
         if step.move[0] == "refill":
             charger = stop.charger
             assert charger is not None
-            x, after = vectors[k - 1], vectors[k]
-            seconds = float(after[1] - x[1])
+            x = vectors[k - 1].copy()
+            seconds = float(vectors[k][1] - x[1])
             if seconds > 1e-9:
                 level = charger.level_of(x, seconds)
                 use = np.concatenate([[seconds], charger.draw_w * seconds / 3600.0])
+                x[2 : 2 + count] = missing
+                after = charger.after(x, use[:1], 1.0 if level is None else level)[0]
                 add("charge", stop.place, use, after[2 : 2 + count], payload_kg=payload, level=level)
             elif made.legs and made.legs[-1].kind == "drive":
                 add("wait", stop.place, np.zeros(1 + count), payload_kg=payload)  # it stood there all the same

@@ -14,7 +14,6 @@ from missionsim.planner.site import Site
 from missionsim.planner.tour import Tour
 
 LONGEST_S = 1e6
-HAIR = 2e-9
 ROUNDS = 40
 CLOSE = 1e-7
 """Relative difference of the price's bound and what the best prices could give at most, at which it ends."""
@@ -160,9 +159,6 @@ def bounds_of(
     if site.windowed:
         most[1] = min(site.deadline_s, LONGEST_S)  # that windows end can be said of an end only
     most[2 : 2 + count] = site.usable_wh
-    if any(charger is not None and charger.levels is None for charger in tour.chargers):
-        # charged just as much as will do, a battery must not come out empty by rounding
-        most[2 : 2 + count] -= HAIR * physics.capacity_wh
     # what must be left at the end beyond what must be left always
     reserve = np.maximum(np.maximum(physics.reserve_wh, 0.0) - (physics.capacity_wh - site.usable_wh), 0.0)
     least = np.zeros((tour.nodes, len(most)))

@@ -21,6 +21,9 @@ from missionsim.planner.drives import Drives
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, equipment, make_road, pieces_of
 
+HAIR = 2e-9
+"""Of its capacity a battery is charged more than what just suffices, unless it is full, lest it comes out empty by
+rounding."""
 MOST_FREE = 13
 """Visits in any order of which all subsets are gone through."""
 Ints = NDArray[np.intp]
@@ -248,7 +251,13 @@ class Charger:
         times = [bends - np.interp(missing, known, bends) for missing, known, bends in curves]
         knots = np.unique(np.concatenate([np.empty(0), *times]))
         knots = knots[knots > 0.0]
-        return [np.concatenate([x[None, :], self.after(x, knots)])] if knots.size else []
+        if not knots.size:
+            return []
+        chain = np.concatenate([x[None, :], self.after(x, knots)])
+        missing = chain[:, 2 : 2 + len(self.gain_w)]
+        less = HAIR * self.capacity_wh
+        missing += less * (self.served & (self.gain_w > 0.0) & (missing > less))
+        return [chain]
 
 
 @dataclass

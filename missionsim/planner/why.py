@@ -21,6 +21,9 @@ from missionsim.planner.solve import solve_site
 AMPLE_WH = 1e5
 ENOUGH = 1.0 + 1e-8
 """What would do is told by so much more, lest rounding takes it away again."""
+CLOSE = 1.005
+MOST_CALLS = 200
+"""So many times a search for a smaller battery tells how far it is, before it is given up."""
 POINTS = 9
 """Of the front of energy against time."""
 
@@ -74,7 +77,10 @@ def explain(site: Site) -> Json:
         if usable <= 0.0:
             continue
         larger = needed / usable
-        text = f"a battery '{name}' of {_up(larger, 2):.2f} Wh in place of {rounded(capacity, 4)} Wh"
+        if any(charger.gain_w[b] > 0.0 for charger in docks.values()):
+            larger = _charged(site, name, capacity, larger)
+        digits = max(2, 2 - math.floor(math.log10(larger)))
+        text = f"a battery '{name}' of {_up(larger, digits):.{digits}f} Wh in place of {rounded(capacity, 4)} Wh"
         to, key = ENOUGH * larger, f"robot.batteries.{name}.capacity"
         changes.append(_change(key, to, "Wh", text, larger / capacity - 1.0))
     changes += [*_one_less(site), *_other_changes(site)]
@@ -135,6 +141,29 @@ def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | Non
     return replace(answer, site=replace(bare, physics=physics)) if answer.feasible else None
 
 
+def _charged(site: Site, name: str, low: float, high: float) -> float:
+    """A capacity between one that is too little and one that will do without charging: the least found that will do
+    with it."""
+    robot, calls = site.task.robot, 0
+
+    def watch(_: str, objective: float, bound: float) -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > MOST_CALLS
+
+    battery, least = robot.batteries[name], low
+    while high > CLOSE * low:
+        middle = math.sqrt(low * high)
+        capacity = replace(battery.capacity, value=battery.capacity.value * middle / least)
+        batteries = {**robot.batteries, name: battery.model_copy(update={"capacity": capacity})}
+        calls, task = 0, site.task.model_copy(update={"robot": robot.model_copy(update={"batteries": batteries})})
+        if solve_site(make_site(task), watch, valued=False).feasible:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
 def _needed(answer: Answer, name: str, left_wh: float) -> tuple[float, Leg]:
     """What a plan takes of a battery at most on the way, and the first leg on which that is more than is left."""
     spent = np.cumsum([0.0, *(leg.energy_wh[name] for leg in answer.legs)])
@@ -143,7 +172,9 @@ def _needed(answer: Answer, name: str, left_wh: float) -> tuple[float, Leg]:
 
 
 def _name(leg: Leg) -> str:
-    return f"edge '{leg.piece.name}'" if leg.piece is not None else leg.kind
+    if leg.piece is None:
+        return leg.kind
+    return "the way" if leg.piece.name == leg.place else f"edge '{leg.piece.name}'"
 
 
 def _time(site: Site) -> Array:

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import Columns, Truth, is_clock
 from missionsim.effects.model import PowerModel, Term, TermKey
 from missionsim.effects.timeline import SAMPLES, integrate
-from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.batteries import CHARGE_TOLERANCE, ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values
-from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, simulate
+from missionsim.engine.simulate import RunSetup, simulate
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Array
@@ -179,7 +179,7 @@ class ArrayMission:
                 charge, net, most = initial - course[0], initial - course[1], initial - course[2]
             np.subtract(initial, charge, out=charge)
             np.multiply(charge, 1.0 / J_PER_WH, out=columns[f"charge_{name}_wh"].T)
-            required, slack = capacity * reserve, RESERVE_TOLERANCE * capacity
+            required, slack = capacity * reserve, CHARGE_TOLERANCE * capacity
             left = initial - net
             floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
             again |= ~(initial - most > floor + slack)  # also where it is not a number

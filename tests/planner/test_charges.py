@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from missionsim.planner.answer import Answer
 from missionsim.planner.chance import plan_task
 from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_site
+from missionsim.planner.why import explain
 from tests.planner.random_tasks import ROBOT, random_task
 
 LEVELS = [round(0.05 * step, 2) for step in range(1, 21)]
@@ -195,3 +197,61 @@ def test_what_a_slope_gives_back_is_not_there_before_it(margin: float, tmp_path:
     can = [seconds[pair] for pair, needed in lowest.items() if needed <= fast + margin]
     assert answer.duration_s == pytest.approx(min(can), rel=1e-9)
     assert answer.claim == "proved best"
+
+
+def _ring(folder: Path, capacity: float) -> Path:
+    """Four edges in a ring, a Wh each, with a charger half way round."""
+    robot = """
+        kind: robot
+        name: r
+        body: {mass: 1 kg, drive: differential, max_speed: 1 m/s}
+        batteries: {b: {capacity: %s Wh}}
+        motion: {battery: b, model: polynomial, parameters: {c2: 0, c3: 3600, c4: 0, standing: 0}}
+        schemes: {go: {}}
+    """
+    site = """
+        kind: environment
+        name: e
+        places: {p0: {}, p1: {}, p2: {charger: {power: 36 W}}, p3: {}}
+        edges:
+          - {from: p0, to: p1, length: 1 m}
+          - {from: p1, to: p2, length: 1 m}
+          - {from: p2, to: p3, length: 1 m}
+          - {from: p3, to: p0, length: 1 m}
+    """
+    task = """
+        kind: task
+        name: t
+        robot: robot.yaml
+        environment: site.yaml
+        start: p0
+        defaults: {profile: constant_speed, scheme: go}
+        visits: [{place: p1, wait: 0 s}, {place: p2, wait: 0 s}, {place: p3, wait: 0 s}]
+        order: given
+        choose: {speeds: [1 m/s], schemes: [go], docks: all, charge: any}
+        least: time
+    """
+    for name, text in (("robot", robot % capacity), ("site", site), ("task", task)):
+        (folder / f"{name}.yaml").write_text(textwrap.dedent(text))
+    return folder / "task.yaml"
+
+
+@pytest.mark.parametrize("capacity", [2.0, 2.1, 2.5])
+def test_a_battery_that_just_suffices_does(capacity: float, tmp_path: Path) -> None:
+    """Any charge was refused where only a full one suffices, and a battery that came home with nothing left of it was
+    empty by rounding."""
+    answer, run = plan_task(load_task(_ring(tmp_path, capacity)))
+    assert answer.feasible
+    assert run is not None
+    assert run.feasible
+    charged = [leg for leg in answer.legs if leg.kind == "charge"]
+    assert [leg.place for leg in charged] == ["p2"]
+    assert charged[0].duration_s == pytest.approx((4.0 - capacity) / 36.0 * 3600.0, rel=1e-6)
+    assert answer.charge_left_wh["b"] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_the_battery_that_would_do_is_charged_on_the_way(tmp_path: Path) -> None:
+    """It was as large as for the whole way."""
+    (change,) = [c for c in explain(make_site(load_task(_ring(tmp_path, 1.9))))["would_do"] if "battery" in c["text"]]
+    assert 2.0 <= change["to"] <= 2.0 * 1.006
+    assert plan_task(load_task(_ring(tmp_path, change["to"])))[0].feasible
