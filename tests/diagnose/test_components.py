@@ -32,6 +32,7 @@ def split() -> Split:
     return Split(tuple(logs[:4]), (logs[4],), "the last")
 
 
+@pytest.mark.long
 def test_what_a_component_draws_is_added_though_it_may_fade(split: Split) -> None:
     text = robot_text("pioneer3dx")
     found = diagnose_battery(Subject.of(robot_from_text(text)), split, BATTERY, Settings())

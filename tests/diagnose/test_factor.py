@@ -47,6 +47,7 @@ def test_one_factor_on_everything_names_no_effect() -> None:
     assert "on the whole model explains as much" in reasons["rolling_friction"]
 
 
+@pytest.mark.long
 def test_what_is_off_in_motion_alone_is_not_off_whatever_the_robot_does() -> None:
     """As with a slope sensor that is not level: the same in every run, and the units are right."""
     logs = []
@@ -112,6 +113,7 @@ def test_a_parameter_of_the_base_that_is_too_small_is_no_effect_that_imitates_it
     assert "% too small (fitted without the sd that binds it in the recalibration): these data" in told
 
 
+@pytest.mark.long
 def test_how_far_a_parameter_is_off_is_not_told_beside_effects_in_doubt() -> None:
     """One report gave one parameter three numbers: 45 and 36 % beside two effects that were told to be it in the place
     of each other, and 67 % where it was recalibrated."""

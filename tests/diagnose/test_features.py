@@ -161,6 +161,7 @@ def test_speed_in_traffic_is_signal(seed: int) -> None:
     np.testing.assert_array_equal(steady_speed(run).number("speed_m_s"), speed)
 
 
+@pytest.mark.long
 def test_a_grade_is_fitted_at_the_size_that_is_found() -> None:
     """A drive of 5/8 efficiency: at the limit of a lossless one, and at that of the first size found, heat in the
     windings stands in for what steep descents do not give back."""

@@ -48,7 +48,7 @@ def improved(text: str, logs: list[LogTable], held: int, settings: Settings | No
 
 
 @pytest.mark.usefixtures("effects_alone")
-@pytest.mark.parametrize("held", [2, 0])
+@pytest.mark.parametrize("held", [2, pytest.param(0, marks=pytest.mark.long)])
 def test_the_meter_alone_is_written_where_nothing_else_is_wrong(
     logs: list[LogTable], held: int, tmp_path: Path
 ) -> None:

@@ -58,6 +58,7 @@ def test_a_short_drive_is_judged_alike_by_all_commands(warthog: list[LogTable]) 
     assert improve(text, split, "robot", Settings(), lambda *_: True).added == ()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_what_the_parts_of_a_drive_are_predicted_as_well_without_is_not_named(warthog: list[LogTable]) -> None:
     """Drag at 2 m/s, whose coefficient may be nothing: the error with it was that without it."""

@@ -137,6 +137,7 @@ def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) 
     assert error["after"].power_rmse_w < 0.9 * error["before"].power_rmse_w
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_two_effects_go_in_together_with_the_numbers_that_the_diagnosis_names() -> None:
     logs = [with_payload(drive(seed, seconds=160.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
@@ -233,6 +234,7 @@ def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
     assert ("warming up" in refused.get("cold_friction", "")) is not named
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 @pytest.mark.parametrize(("mass", "doubted"), [("9 kg", True), pytest.param("500 kg", False, marks=pytest.mark.long)])
 def test_what_is_seventy_times_its_inertia_is_doubted(mass: str, doubted: bool) -> None:
@@ -479,7 +481,7 @@ def test_what_comes_to_nothing_in_the_last_fit_is_written_as_nothing() -> None:
 
 
 @pytest.mark.usefixtures("effects_alone")
-@pytest.mark.parametrize("ahead", [False, True])
+@pytest.mark.parametrize("ahead", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_what_a_descent_relieves_is_what_left_out_runs_say(ahead: bool) -> None:
     """A cart that turns on its way down: tyres that slide sideways may have no use for the descent. A law of turning
     while descending stood in for that."""

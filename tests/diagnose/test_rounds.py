@@ -449,6 +449,7 @@ def sampled(folder: Path, seed: int) -> None:
     (folder / f"run_{seed}.csv").write_text("\n".join([head, *rows]))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("effects_alone")
 def test_the_clock_of_a_meter_whose_readings_stay_is_the_one_that_predicts(tmp_path: Path) -> None:
     """Single readings, averaged over since the one before, are ahead of the motion by half of that: delays below nought

@@ -83,6 +83,7 @@ def test_meters_that_differ_are_no_missing_effect(
     assert ("what the same motion costs" in found.unexplained.shape) == (motion_sd > 0.0)
 
 
+@pytest.mark.long
 def test_what_costs_no_more_at_rest_is_no_meter(tmp_path: Path) -> None:
     """Friction in rain, beside turns that cost the same: a gain of all came nearer than one of the motion, and was
     called meters that differ, "at rest too"; nothing was missing."""
@@ -210,6 +211,7 @@ def test_every_floor_has_its_level_where_the_floors_explain_how_the_runs_differ(
             assert floor.parameters[f"k_{name}"].value == pytest.approx(force, abs=0.8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_the_floor_of_the_base_is_the_one_that_costs_least_however_short_its_runs_are(seed: int) -> None:
     newtons = (3.0, 4.0, 9.0, 5.0, 6.0)
@@ -237,6 +239,7 @@ def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     assert found.steps[-2].energy_error_pct < 0.2 * found.steps[1].energy_error_pct
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("newtons", "gain", "names"),
     [((0.0, 2.0, 1.0, 3.0, 0.5), 0.0, 2), pytest.param((0.0,) * 5, 0.06, 1, marks=pytest.mark.long)],
@@ -266,6 +269,7 @@ def test_floors_and_the_cold_are_both_found_where_the_noise_had_taken_them_for_r
     assert found.unexplained.shape == ""
 
 
+@pytest.mark.long
 def test_floors_that_cost_less_than_the_base_knows_take_no_dear_one_with_them() -> None:
     logs = on_floors((-3.0, 3.0, -1.0, -2.0, 3.5), 1)
     (floor,) = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"].effects

@@ -127,6 +127,7 @@ def test_what_recalibration_takes_of_an_effect_is_no_other_form_of_it():
     assert {*named("two-rolling_friction-turning_scrub", 1010)} == {"rolling_friction", "turning_scrub"}
 
 
+@pytest.mark.long
 def test_what_is_too_small_at_a_glance_takes_no_place_from_what_is_not():
     assert named("mixed-payload-highspeed", 1010) == ("payload",)
 

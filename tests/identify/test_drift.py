@@ -87,6 +87,7 @@ def test_times_of_the_logs_give_the_order_whatever_their_names_are(drifted: Iden
     assert not drifts_as_well(replace(hidden, begins_s=tuple(1.5e9 + j for j in range(COUNT))), [payload], [])
 
 
+@pytest.mark.long
 def test_names_that_begin_with_what_was_loaded_tell_no_order_of_the_day(drifted: Identification) -> None:
     """Sorted by name, the heavy runs stand before the light ones whenever they were driven."""
     model = drifted.choice.model

@@ -388,7 +388,8 @@ def floors_of(rng: np.random.Generator, dear: tuple[float, ...]) -> LeastSquares
     return LeastSquares(np.array([f @ f.T for f in folds]), np.full(17, 300.0), np.array([1.0]), np.arange(17))
 
 
-@pytest.mark.parametrize("many", [8, pytest.param(40, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("many", [8, 40])
 def test_floors_of_a_few_runs_each_are_dealt_out_among_the_runs_anew(many: int) -> None:
     """Where the Wald test of five levels with the jackknife covariance of 17 runs has no power."""
     columns = [

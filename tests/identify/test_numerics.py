@@ -242,6 +242,7 @@ def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None
     assert sd == pytest.approx(np.sqrt(np.sum((np.array(without) - share) ** 2)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "weights",
     [[1, 1, 1], *(pytest.param(w, marks=pytest.mark.long) for w in ([9, 1, 1, 1, 1, 1], [5, 3, 2, *[0.02] * 50]))],

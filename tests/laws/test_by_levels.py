@@ -64,6 +64,7 @@ def searched(levels: dict[str, float], known: float) -> Search:
     return Search(ground, make_grammar(ground.covariates, set(), clocks=False))
 
 
+@pytest.mark.long
 def test_what_floors_differ_by_need_not_show_in_what_they_have_in_common() -> None:
     """The best law of one level is about something else."""
     search = searched({"snow": 24.0, "carpet": 13.0, "sand": 24.0, "grass": 19.0, "tile": 0.0}, 16.0)

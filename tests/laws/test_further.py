@@ -157,6 +157,7 @@ def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
     assert made.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -> None:
     """A camera, on and off, beside a base with a power at rest and a slow meter: likelihood alone lets the level go
@@ -178,6 +179,7 @@ def test_a_load_that_is_switched_is_found_in_rows_as_long_as_the_clock_moves() -
     assert made.first.k == pytest.approx(2.2, rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
     """A processor whose load costs more from 60 % on: how its cost goes with the load itself, the file says."""
@@ -199,6 +201,7 @@ def test_a_form_that_the_base_has_already_is_in_no_set() -> None:
     assert made.certain == ("cpu_load",)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
 def test_a_threshold_is_found_between_the_numbers_of_the_grammar() -> None:
     """A gear that churns above 23.8 degC: of the numbers of the grammar, a steeper rise from one further below came
@@ -229,7 +232,9 @@ def test_few_runs_show_no_long_products(runs: int, far_off: int, close: int) -> 
 
 
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize("what", ["logged wind", "field that leans", "current"])
+@pytest.mark.parametrize(
+    "what", ["current", *(pytest.param(what, marks=pytest.mark.long) for what in ("logged wind", "field that leans"))]
+)
 def test_what_comes_from_a_direction_of_the_compass(what: str) -> None:
     """A wind of which the strength is logged, and a field that leans without an inclinometer: 29 W off and "log it as a
     column" before. A slow current that nobody logs, beside the drag of water at rest: it was taken for such a field."""
@@ -262,7 +267,10 @@ def test_what_comes_from_a_direction_of_the_compass(what: str) -> None:
 
 
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize(("one_way", "loaded"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize(
+    ("one_way", "loaded"),
+    [(False, False), *(pytest.param(*one, marks=pytest.mark.long) for one in ((True, False), (True, True)))],
+)
 def test_an_actuator_takes_power_while_it_moves(one_way: bool, loaded: bool) -> None:
     """A steering, and a mast that takes power on its way up: the angle itself says nothing of it, and turning was
     blamed. A fork takes it for the load that it lifts: a law of standing with a load stood in."""
@@ -291,7 +299,7 @@ def test_an_actuator_takes_power_while_it_moves(one_way: bool, loaded: bool) -> 
 
 
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize("uphill_alone", [True, False])
+@pytest.mark.parametrize("uphill_alone", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) -> None:
     """A load that was carried uphill alone: the dearer climb was told as the slope's, without a word of the load."""
     rng, runs = np.random.default_rng(6), []
@@ -308,8 +316,9 @@ def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) 
     assert made.goes_with == (("payload_kg",) if uphill_alone else ())
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("laws_at_once")
-@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_drag_goes_by_the_speed_through_the_air(sign: float) -> None:
     """A wind along the way, against the robot or with it, in a column of the user's."""
     rng, runs = np.random.default_rng(3), []

@@ -16,6 +16,7 @@ from tests.diagnose.logs import drawing, drive
 from tests.laws.found import law_of, run_of
 
 
+@pytest.mark.long
 def test_a_load_that_begins_at_a_speed_is_a_step_and_no_friction() -> None:
     """It was viscous friction, surely, and a bump beside it."""
     logs = []

@@ -16,6 +16,7 @@ from missionsim.planner.site import make_site
 from missionsim.planner.solve import solve_large, solve_site
 
 
+@pytest.mark.long
 def test_twenty_visits_within_a_said_gap(root: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     spots = rng.uniform(0.0, 200.0, (24, 2))

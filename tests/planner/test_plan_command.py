@@ -247,6 +247,7 @@ def test_what_may_be_left_out_need_not_be_possible(root: Path, tmp_path: Path, c
     assert plan(root, tmp_path, visits, change)["order"] == ["pump"]
 
 
+@pytest.mark.long
 def test_charging_counts_by_what_is_to_be_least(root: Path, tmp_path: Path) -> None:
     small = (
         TWO,
@@ -417,6 +418,7 @@ def _pairs(*settings: str) -> list[tuple[str, str]]:
     return [(path, value) for path, _, value in (one.partition("=") for one in settings)]
 
 
+@pytest.mark.long
 def test_with_charges_the_margin_is_as_tight_as_draws_can_tell(root: Path, tmp_path: Path) -> None:
     plain, _ = plan_task(load_task(root / "missions/planning/inspection.yaml", _pairs(TWO, *CHARGED)))
     sure = plan(root, tmp_path, TWO, *CHARGED, "within.with_probability=0.95")
@@ -432,6 +434,7 @@ def test_with_charges_the_margin_is_as_tight_as_draws_can_tell(root: Path, tmp_p
     assert told["low"] <= simulated["high"]
 
 
+@pytest.mark.long
 def test_a_stopped_search_for_a_surer_plan_gives_one_that_holds(root: Path) -> None:
     changes = _pairs(TWO, *CHARGED, "within.with_probability=0.95")
     told: list[str] = []

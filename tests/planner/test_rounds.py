@@ -74,6 +74,7 @@ def test_two_rounds_are_as_good_as_their_visits_planned_one_by_one(
     assert rounds["order"] == [name[:-1] for name in single["order"] if not name.startswith("home")]
 
 
+@pytest.mark.long
 def test_charges_on_a_round_that_the_battery_cannot_do_whole(root: Path, tmp_path: Path) -> None:
     choose = {"speeds": ["0.7 m/s", "0.9 m/s"], "schemes": ["mapped"], "docks": ["shed"], "charge": ["80 %", "100 %"]}
     visits = [{"place": "tank", "inspect": "30 s"}, {"place": "mast", "inspect": "30 s"}, {"place": "well"}]

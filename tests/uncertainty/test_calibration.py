@@ -51,6 +51,7 @@ def blocks(prepared: Prepared, seed: int, runs: int, *names: str) -> dict[str, n
     return {name: np.concatenate([block[name] for block in made]) for name in names}
 
 
+@pytest.mark.long
 def test_intervals_of_batches_hold_the_truth(prepared: Prepared) -> None:
     columns = ("energy_robot_wh", "needed_robot_wh", "feasible")
     # the truth: a batch so large that its own error is a thirtieth of the intervals that are judged

@@ -187,6 +187,7 @@ def test_an_ended_batch_resumes_to_the_same_bytes(
     assert files(out) == whole
 
 
+@pytest.mark.long
 def test_a_lost_worker_process_is_replaced(tmp_path: Path, whole: dict[str, bytes]) -> None:
     import psutil
 
