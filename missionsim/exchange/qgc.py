@@ -6,6 +6,7 @@ on the ground: altitudes, take-off and landing do not move it.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -150,10 +151,9 @@ def build(items: list[Item], home: tuple[float, float] | None, speed: float | No
     points += [home] if home else []
     plane = site.plane(points) if points else None
     route = _Route(plane, speed, site, home)
-    begins: dict[int, int] = {}  # segment at which an item begins, for jumps
     for item in items:
-        begins[item.number] = len(site.segments)
-        route.follow(item, begins)
+        route.begins[item.number] = len(site.segments), len(route.changes), route.speed
+        route.follow(item)
     if not site.segments and route.here:
         site.segments.append({"wait": {"duration": 0.0}})
     site.tell("waypoints are joined by straight ways, which lead both ways")
@@ -170,6 +170,10 @@ class _Route:
 
     def __post_init__(self) -> None:
         self.here = self.home = ""
+        self.changes: list[int] = []
+        """Segments before which the speed changes."""
+        self.begins: dict[int, tuple[int, int, float | None]] = {}
+        """Segment at which an item begins, how many changes there were, and the speed, for jumps."""
         self.ways: set[tuple[str, str]] = set()
         self.limit = self.site.options.robot.body.max_speed.value if self.site.options.robot else math.inf
         self.site.speed = self.speed = self.allowed(self.wanted)
@@ -182,8 +186,8 @@ class _Route:
             self.site.tell(f"a speed of the plan is above the robot's {self.limit:g} m/s, which holds instead")
         return None if not speed else min(speed, self.limit)
 
-    def follow(self, item: Item, begins: dict[int, int]) -> None:
-        """Do what a command says, as far as a robot on the ground does. `begins`: segment at which an item begins."""
+    def follow(self, item: Item) -> None:
+        """Do what a command says, as far as a robot on the ground does."""
         site, first, second = self.site, item.parameters[0] or 0.0, item.parameters[1] or 0.0
         if item.command in _MOVING and (place := item.place) is not None:
             # a place that is reached again is the same place
@@ -209,16 +213,23 @@ class _Route:
             site.segments.append({"wait": {"duration": first}})
         elif item.command == CHANGE_SPEED and second > 0:
             self.speed = self.allowed(second)
+            self.changes.append(len(site.segments))
         elif item.command == JUMP:  # repeats what lies between an earlier item and this one
             target, times = int(first), int(second)
-            begin = begins.get(target)
-            block = site.segments[begin:] if begin is not None else []
+            begin, changes, speed = self.begins.get(target, (len(site.segments), 0, None))
+            block = site.segments[begin:]
             drives = [segment["drive"]["to"] for segment in block if "drive" in segment]
             if not drives or not 1 <= times <= 10_000 or any("repeat" in segment for segment in block):
                 site.tell(f"left out: jump to item {target}, {times} times (endless, forward or nested)", item.line)
             else:
                 self.way(drives[0], item.line)
-                site.segments[begin:] = [{"repeat": {"times": times + 1, "segments": block}}]
+                again, once = block, list[dict[str, Any]]()
+                if self.speed != speed:  # a speed holds until it changes, into the next round
+                    until = self.changes[changes] - begin
+                    again = [self.paced(segment) for segment in block[:until]] + block[until:]
+                if again != block:
+                    once, times = block, times - 1
+                site.segments[begin:] = [*once, {"repeat": {"times": times + 1, "segments": again}}]
         else:
             site.tell(f"left out: command {item.command}", item.line)
 
@@ -232,11 +243,15 @@ class _Route:
         """Drive to a place, at the present speed."""
         if self.here and self.here != to:
             self.way(to, line)
-            drive: dict[str, Any] = {"to": to}
-            if self.speed is not None and self.speed != self.site.speed:
-                drive["speed"] = self.speed
-            self.site.segments.append({"drive": drive})
+            self.site.segments.append(self.paced({"drive": {"to": to}}))
         self.here = to
+
+    def paced(self, segment: dict[str, Any]) -> dict[str, Any]:
+        """A segment at the present speed, where it is a drive."""
+        if "drive" not in segment:
+            return segment
+        changed = self.speed is not None and self.speed != self.site.speed
+        return {"drive": {"to": segment["drive"]["to"]} | ({"speed": self.speed} if changed else {})}
 
 
 def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> tuple[Json, tuple[str, ...]]:
@@ -275,6 +290,9 @@ def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> 
             add(CHANGE_SPEED, 2, [1, speed, -1, 0, 0, 0, 0])
         hold = sum(seconds for _, seconds in stop.waits)
         add(WAYPOINT, 3, [hold, 0, 0, None, *points[stop.place], 0])
+    ways = [(a, b) for a, b in itertools.pairwise(stops) if a.place != b.place]
+    if any(abs(b.length_m - (environment.straight_m(a.place, b.place) or 0.0)) > 1e-3 for a, b in ways):
+        remarks.append("lengths of ways have no place in it: they are straight")
     if any(stop.recharge_until is not None for stop in stops):
         remarks.append("charging has no command in it: the robot stops at the charger")
     fastest = max((stop.speed_m_s or 0.0 for stop in stops), default=0.0)

@@ -18,6 +18,7 @@ from missionsim.exchange.source import Value
 from missionsim.files import atomic_write, fields_of
 from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.robot import RobotSpec
+from missionsim.inputs.segments import flat_segments
 from missionsim.plan.build import make_plan
 
 if TYPE_CHECKING:
@@ -370,8 +371,16 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
             name = spec.name or f"{leg.edge.begin} to {leg.edge.end}"
             stops.append(Stop(leg.edge.end, leg.speed_m_s, name, passed))
             passed = 0.0
-        if leg.settings.payload_kg:
-            told["payloads have no place in it"] = None
+        asked = {
+            "payloads": leg.settings.payload_kg,
+            "slopes": leg.settings.slope_rad,
+            "floors": leg.settings.surface,
+            "temperatures and other conditions": leg.settings.extra,
+            "control schemes": leg.settings.scheme,
+        }
+        told |= {f"{what} have no place in it": None for what, given in asked.items() if given}
+    if any(segment.kind == "inspect" for segment in flat_segments(mission.segments)):
+        told["inspections are written as waiting"] = None
     if mission.activities:
         told["activities (components switched on and off) have no place in it"] = None
     return stops, list(told)

@@ -131,7 +131,8 @@ def nurbs_length(
 
     weight = np.asarray(weights, float)[:, None]
     homogeneous = np.hstack([np.asarray(points, float) * weight, weight])
-    curve = BSpline(t, homogeneous, degree)(np.linspace(t[degree], t[count], 64 * count))
+    at = np.union1d(np.linspace(t[degree], t[count], 64 * count), t[degree : count + 1])  # corners lie at knots
+    curve = BSpline(t, homogeneous, degree)(at)
     steps = np.diff(curve[:, :2] / curve[:, 2:], axis=0)
     return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
@@ -203,7 +204,9 @@ def read(root: Value, site: Site) -> None:
                 site.tell("startCharging: a charger and charging until full", action.line)
             elif duration is not None:
                 site.segments.append({"wait": {"name": f"{kind} {len(site.segments)}", "duration": duration}})
-            elif kind.lower() != "stopcharging":
+            elif kind.lower() == "stopcharging":
+                site.tell("left out: stopCharging: charging until full holds", action.line)
+            else:
                 site.tell(f"left out: action '{kind[:40]}', which tells no duration", action.line)
     for edge in edges.values():
         edge.fault("an edge that leads to no node", "sequenceId one below that of a node")

@@ -222,6 +222,29 @@ def test_plan_needs_to_know_where_on_earth(capsys: pytest.CaptureFixture[str], t
     assert run_command(["export", "qgc", mission, "--out", str(out), "--origin", "north"]) == 2
 
 
+def test_what_an_order_and_a_plan_cannot_say_is_told(tmp_path: Path) -> None:
+    (tmp_path / "site.yaml").write_text("""
+kind: environment
+name: site
+places: {a: {x: 0, y: 0}, b: {x: 10, y: 0}}
+edges: [{from: a, to: b, length: 15 m, slope: 5 %, surface: gravel, temperature: 5 degC}]
+""")
+    (tmp_path / "mission.yaml").write_text("""
+kind: mission
+name: m
+robot: pioneer3dx
+environment: site.yaml
+start: a
+defaults: {scheme: forward_motion}
+segments: [{drive: {to: b}}, {inspect: {duration: 5 s}}]
+""")
+    mission = load_mission(tmp_path / "mission.yaml")
+    both = {f"{what} have no place in it" for what in ("slopes", "floors", "control schemes")}
+    both |= {"temperatures and other conditions have no place in it", "inspections are written as waiting"}
+    assert both <= set(order_of(mission)[1])
+    assert both | {"lengths of ways have no place in it: they are straight"} <= set(plan_of(mission, (47.0, 8.0))[1])
+
+
 def test_commands_write_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     arguments = ["export", "nav2", str(FILES / "yard.geojson"), "--robot", "pioneer3dx", "--out", str(out)]

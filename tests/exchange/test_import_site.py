@@ -128,14 +128,16 @@ def test_plan_becomes_a_mission(tmp_path: Path) -> None:
         assert mission.start == "home"
         assert mission.environment is not None
         assert mission.environment.straight_m("home", "waypoint_1") == pytest.approx(76.06, abs=0.01)  # WGS 84
-    assert [segment.kind for segment in mission.segments] == ["repeat", "wait", "drive"]
-    assert mission.segments[0].times == 3
+    # the first round begins at the plan's speed, the other two at that of the first one's end
+    assert [segment.kind for segment in mission.segments] == ["drive", "wait", "drive", "repeat", "wait", "drive"]
+    assert mission.segments[3].times == 2
     inner = list(flat_segments(mission.segments))
-    assert [segment.kind for segment in inner] == ["drive", "wait", "drive", "wait", "drive"]
+    assert [segment.kind for segment in inner] == [*("drive", "wait", "drive") * 2, "wait", "drive"]
     assert mission.defaults.speed is not None
     assert mission.defaults.speed.value == 0.6
-    assert inner[2].speed.value == 0.3
-    assert inner[4].to == "home"
+    assert inner[0].speed is None
+    assert [inner[i].speed.value for i in (2, 3, 5)] == [0.3] * 3
+    assert inner[7].to == "home"
 
 
 def test_order_becomes_a_mission(tmp_path: Path) -> None:
@@ -265,7 +267,7 @@ def test_command_writes_both_files_or_none(tmp_path: Path, capsys: pytest.Captur
     arguments = ["import-site", str(FILES / "rover.plan"), "--out", str(out), "--mission", str(mission)]
     assert run_command([*arguments, "--json", str(told)]) == 0
     summary = json.loads(told.read_text())
-    assert (summary["places"], summary["format"], summary["segments"]) == (3, "QGroundControl plan", 3)
+    assert (summary["places"], summary["format"], summary["segments"]) == (3, "QGroundControl plan", 6)
     assert "pioneer3dx, since --robot names none" in capsys.readouterr().out
     assert run_command(["validate", str(out), str(mission), "--quiet"]) == 0
     out.unlink()
@@ -292,6 +294,8 @@ def test_local_plane_inverts_and_keeps_distances() -> None:
 
 def test_nurbs_refuses_what_does_not_fit() -> None:
     assert nurbs_length([(0, 0), (3, 4)], [1, 1], [0, 0, 1, 1], 1) == pytest.approx(5.0)
+    # a corner was cut
+    assert nurbs_length([(0, 0), (5, 12), (10, 0)], [1] * 3, [0, 0, 0.41, 1, 1], 1) == pytest.approx(26.0, rel=1e-12)
     assert nurbs_length([(0, 0), (3, 4)], [1, 1], [0, 1, 2], 3) is None
 
 
@@ -304,3 +308,32 @@ def test_slopes_of_a_noisy_steady_climb() -> None:
     smooth = np.tan(smooth_slopes(along, height, ends, 50.0))
     assert np.std(smooth) < 0.35 * np.std(raw)
     assert np.mean(smooth) == pytest.approx(0.05, abs=0.005)
+
+
+def test_a_speed_holds_into_the_next_round_of_a_jump(tmp_path: Path) -> None:
+    """QGroundControl's DO_JUMP: all rounds but the first begin at the speed that the first one ended with."""
+    rows = [
+        (0, 16, 0, 0, 47.0, 8.0),
+        (1, 178, 1, 1.5, 0, 0),
+        (2, 16, 0, 0, 47.0001, 8.0),
+        (3, 178, 1, 0.5, 0, 0),
+        (4, 16, 0, 0, 47.0002, 8.0),
+        (5, 177, 2, 2, 0, 0),
+    ]
+    lines = [f"{n}\t0\t3\t{c}\t{a}\t{b}\t0\t0\t{x}\t{y}\t0\t1" for n, c, a, b, x, y in rows]
+    (tmp_path / "w.waypoints").write_text("\n".join(["QGC WPL 110", *lines]) + "\n")
+    site = import_site(tmp_path / "w.waypoints", SiteOptions())
+    first, second, block = site.segments
+    assert [first["drive"]["speed"], second["drive"]["speed"]] == [1.5, 0.5]
+    assert block["repeat"]["times"] == 2
+    assert [part["drive"]["speed"] for part in block["repeat"]["segments"]] == [0.5, 0.5]
+
+
+def test_charging_that_an_order_ends_is_told(tmp_path: Path) -> None:
+    action = {"actionType": "stopCharging", "actionId": "1", "blockingType": "HARD"}
+    place = {"x": 0.0, "y": 0.0, "mapId": "m"}
+    node = {"nodeId": "a", "sequenceId": 0, "released": True, "nodePosition": place, "actions": [action]}
+    order = {"orderId": "o", "orderUpdateId": 0, "nodes": [node], "edges": [], "version": "2.0.0", "headerId": 0}
+    (tmp_path / "o.json").write_text(json.dumps(order))
+    remarks = import_site(tmp_path / "o.json", SiteOptions()).remarks
+    assert "left out: stopCharging: charging until full holds" in remarks
