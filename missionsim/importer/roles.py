@@ -18,7 +18,7 @@ from missionsim.inputs.tree import read_document
 from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData
-from missionsim.logs.readers import Options, Reader, reader_of
+from missionsim.logs.readers import Options, Reader, reader_of, recorded
 from missionsim.logs.times import is_stamp, numbers_as_times
 from missionsim.physics import Array
 
@@ -160,8 +160,7 @@ def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> l
     if reader.table is not None:
         columns = reader.table(path, Options(most=most)).columns
         return [Field(name, len(data), data) for name, data in columns.items()]
-    assert reader.recording is not None
-    topics = sorted(reader.recording(path, Options(most=most)).topics, key=lambda topic: topic.name)
+    topics = sorted(recorded(reader, path, Options(most=most)).topics, key=lambda topic: topic.name)
     return [Field(f"{one.name} ({one.title})", one.count, np.empty(0)) for one in topics if not one.columns] + [
         Field(f"{one.name}.{name}", one.count or len(data), data, one.time_s, one.title)
         for one in topics

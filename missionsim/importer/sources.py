@@ -19,7 +19,7 @@ from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, registry, source_suffixes
+from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, recorded, registry, source_suffixes
 from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -162,12 +162,11 @@ def read_source(source: Source, spec: MapSpec) -> RawTable:
     reader = reader_of(source.path)
     if reader.table is not None:
         return with_names(reader.table(source.path, table_options(spec)), spec)
-    assert reader.recording is not None
     if not spec.signals:
         told, allowed = f"a map for a {reader.title} needs signals", "signals: {volts: /battery_state.voltage}"
         raise InputError.single(told, file=str(spec.path), allowed=allowed)
     wanted = {signal.field.strip() for signal in spec.signals.values()}
-    found = reader.recording(source.path, Options(fields=wanted, clock=spec.stamp))
+    found = recorded(reader, source.path, Options(fields=wanted, clock=spec.stamp))
     raw = _merged(found.topics, spec, source.path, reader)
     raw.remarks[:0] = found.remarks
     return raw
@@ -276,7 +275,7 @@ def _parts(
     reader = reader_of(path)
     lag = float(file.lag) if file.lag is not None else 0.0
     if reader.recording is not None:
-        found = reader.recording(path, Options(fields=own, clock=spec.stamp))
+        found = recorded(reader, path, Options(fields=own, clock=spec.stamp))
         for topic in found.topics:
             topic.name, topic.time_s = f"{alias}.{topic.name}", topic.time_s + (found.start_s - lag)
         return found.topics, "utc", found.remarks

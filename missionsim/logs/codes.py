@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.physics import Array
 
@@ -19,35 +22,142 @@ and one that stands there once (all assumed)."""
 _LASTS, _JUMPS = 2, 5.0
 """Rows that a code of -1, which lies near what is measured, lasts at most, and times the usual step of the others that
 it jumps by (both assumed)."""
+_TIMES, _GRAINS = 3, 2.5
+"""Times that the only value below nought comes, and times the finest step of the others that it lies off the least of
+them (both assumed)."""
+_SAMPLE = 10_000
+"""Values of a block of which the distinct ones are looked at."""
+
+Found = list[tuple[float, int, int]]
+"""Each code, its number of rows, its first row."""
 
 
-def without_codes(data: Array) -> tuple[Array, list[tuple[float, int, int]]]:
-    """A column with its codes for no value as NaN; and each code, its number of rows, its first row.
+@dataclass
+class _Met:
+    """Rows of a value that may be a code: the first, how many, in how many stretches."""
+
+    first: int
+    count: int = 0
+    times: int = 0
+
+
+@dataclass
+class Tally:
+    """What tells whether a column has codes for no value, block by block.
 
     A code is one of a list, exactly, again and again, and far from all other values, by half of their range; or -1 in
-    single rows, with a jump before and after. A reading at a limit has others near it.
+    single rows, with a jump before and after; or the only value below nought, again and again, where nought itself
+    never comes. A reading at a limit has others near it.
     """
-    ends = np.array([np.fmin.reduce(data), np.fmax.reduce(data)]) if len(data) else np.empty(0)
-    met = _CODES[np.isclose(ends[:, None], _CODES, rtol=1e-9).any(axis=0)]
-    if np.count_nonzero(data == -1.0) > 2:
-        met = np.union1d(met, -1.0)
-    if not len(met):
-        return data, []
-    others = data[np.isfinite(data) & ~np.isin(data, _CODES) & ~np.isclose(data[:, None], met, rtol=1e-9).any(axis=1)]
-    if len(others) < _FEW or len(np.unique(others[:10_000])) < _FEW:
-        return data, []
-    low, high = float(others.min()), float(others.max())
-    found: list[tuple[float, int, int]] = []
-    for code in met:
-        rows = np.isclose(data, code, rtol=1e-9)
-        far, count = max(low - code, code - high), int(rows.sum())
+
+    rows: int = 0
+    met: dict[float, _Met] = field(default_factory=dict)
+    low: float = np.inf
+    high: float = -np.inf
+    least: float = np.inf
+    """All three: of the values that are no code; the last of those from nought on."""
+    distinct: set[float] = field(default_factory=set)
+    below: set[float] = field(default_factory=set)
+    """The least and the greatest value below nought, also -1 but no other code."""
+    jumps: list[Array] = field(default_factory=list)
+    steps: list[Array] = field(default_factory=list)
+    """Both: to -1, and between the others."""
+    grain: float = np.inf
+    lasts: float = 0.0
+    """Both, in blocks with only one value below nought: the finest step of the others, and the rows that one lasts."""
+    last: float = np.nan
+
+    def add(self, data: Array) -> None:
+        """Take the next rows of the column, shape (n,)."""
+        if not len(data):
+            return
+        rest = data if np.isfinite(data.sum()) else data[np.isfinite(data)]
+        ones = data == -1.0
+        rest = rest[rest != -1.0] if ones.any() else rest
+        while len(rest):
+            ends = np.array([rest.min(), rest.max()])
+            codes = _CODES[np.isclose(ends[:, None], _CODES, rtol=1e-9).any(axis=0)]
+            for code in codes:
+                self._meet(float(code), np.isclose(data, code, rtol=1e-9))
+                rest = rest[~np.isclose(rest, code, rtol=1e-9)]
+            if not len(codes):
+                self._measured(rest)
+                break
+        below = {float(value) for value in self._ends(rest[rest < 0.0] if self.low < 0.0 else rest[:0])}
+        below |= {-1.0} if ones.any() else below
+        if ones.any():
+            self._meet(-1.0, ones)
+            self.jumps.append(np.abs(np.diff(data, prepend=self.last))[ones & ~np.r_[False, ones[:-1]]])
+            self.steps.append(np.abs(np.diff(rest)))
+        if len(below) == 1 and len(self.below | below) == 1:
+            (one,) = below
+            if one != -1.0:
+                self._meet(one, data == one)
+            others = rest[rest >= 0.0]
+            apart = np.diff(np.unique(others))
+            self.grain = min(self.grain, float(apart.min()) if len(apart) else np.inf)
+            self.lasts = max(self.lasts, len(others) / (1 + np.count_nonzero(np.diff(others))))
+        self.below |= below
+        self.rows, self.last = self.rows + len(data), float(data[-1])
+
+    @staticmethod
+    def _ends(values: Array) -> Array:
+        return np.array([values.min(), values.max()]) if len(values) else values
+
+    def _measured(self, rest: Array) -> None:
+        """Take values that are no code."""
+        self.low, self.high = min(self.low, float(rest.min())), max(self.high, float(rest.max()))
+        self.least = min(
+            self.least, float(rest.min()) if self.low >= 0.0 else float(rest[rest >= 0.0].min(initial=np.inf))
+        )
+        if len(self.distinct) < _FEW:
+            self.distinct |= set(np.unique(rest[:_SAMPLE])[:_FEW].tolist())
+
+    def _meet(self, code: float, rows: NDArray[np.bool_]) -> None:
+        seen = self.met.setdefault(code, _Met(self.rows + int(np.argmax(rows))))
+        seen.count += int(rows.sum())
+        seen.times += int(np.count_nonzero(np.diff(np.r_[False, rows]) & rows))
+
+    def found(self) -> Found:
+        """The codes of the column."""
+        if len(self.distinct) < _FEW:
+            return []
+        return [(code, seen.count, seen.first) for code, seen in sorted(self.met.items()) if self._is_code(code, seen)]
+
+    def in_doubt(self) -> bool:
+        """Whether the rows so far may hold a code, which those to come decide; -1 in a column that glides through it is
+        none."""
+        last = _jumps_far(self.jumps[-1:], self.steps[-1:])
+        return last or any(code != -1.0 or self.below == {code} for code in self.met)
+
+    def _is_code(self, code: float, seen: _Met) -> bool:
+        alone = self.below == {code} and self.least > 0.0 and self.least - code > _GRAINS * self.grain
+        if alone and seen.times >= _TIMES and seen.count <= min(_LASTS * self.lasts * seen.times, 0.5 * self.rows):
+            return True
         if code == -1.0:
-            times = int(np.count_nonzero(np.diff(np.r_[False, rows]) & rows))
-            jump = float(np.nanmedian(np.abs(np.diff(data, prepend=np.nan)[rows & ~np.r_[False, rows[:-1]]])))
-            gone = 2 < count <= _LASTS * times and jump > _JUMPS * float(np.quantile(np.abs(np.diff(others)), 0.95))
-        else:
-            gone = far > (high - low) * (_FAR if count > 1 else _LONE) and count < 0.5 * len(data)
-        if gone:
-            found.append((float(code), count, int(np.argmax(rows))))
-            data = np.where(rows, np.nan, data)
-    return data, found
+            return 2 < seen.count <= _LASTS * seen.times and _jumps_far(self.jumps, self.steps)
+        if code not in _CODES:
+            return False
+        far = max(self.low - code, code - self.high)
+        return far > (self.high - self.low) * (_FAR if seen.count > 1 else _LONE) and 2 * seen.count < self.rows
+
+
+def _jumps_far(jumps: list[Array], steps: list[Array]) -> bool:
+    """Whether jumps are far wider than steps mostly are."""
+    known = [one[np.isfinite(one)] for one in (np.concatenate([[], *jumps]), np.concatenate([[], *steps]))]
+    return all(map(len, known)) and float(np.median(known[0])) > _JUMPS * float(np.quantile(known[1], 0.95))
+
+
+def without(data: Array, found: Found) -> Array:
+    """A column with its codes as NaN; the same array where it has none."""
+    for code, _, _ in found:
+        data = np.where(np.isclose(data, code, rtol=1e-9), np.nan, data)
+    return data
+
+
+def without_codes(data: Array) -> tuple[Array, Found]:
+    """A whole column with its codes for no value as NaN; and the codes."""
+    tally = Tally()
+    tally.add(data)
+    found = tally.found()
+    return without(data, found), found

@@ -14,7 +14,7 @@ from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
 from missionsim.labels import ColumnData as ColumnData
 from missionsim.labels import Labels
-from missionsim.logs.codes import without_codes
+from missionsim.logs.codes import Found, Tally, without
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -129,16 +129,42 @@ def from_arrow(
     see `RawTable`; `first_row`: row number of the first row in the file; `decimal`: mark in numbers among texts."""
     raw = RawTable(file, {}, lines, [], first_row, decimal=decimal)
     for name in table.schema.names:
-        data = _column(table.column(name), name, raw)
-        if not isinstance(data, Labels):
-            data, found = without_codes(data)
-            for code, count, row in found:
-                told = f"{count} of {len(data)} values are exactly {code:g}, far from all others: a code for no value"
-                raw.remarks.append(
-                    Remark("missing", name, told, "they count as missing", "warning", raw.line(row), count)
-                )
-        raw.columns[name] = data
+        raw.columns[name] = _column(table.column(name), name, raw)
     return raw
+
+
+def tallies_of(columns: Mapping[str, ColumnData], so_far: dict[str, Tally] | None = None) -> dict[str, Tally]:
+    """What tells the codes for no value of each column of numbers; `so_far`: of the blocks before."""
+    tallies = {} if so_far is None else so_far
+    for name, data in columns.items():
+        if not isinstance(data, Labels):
+            tallies.setdefault(name, Tally()).add(data)
+    return tallies
+
+
+def leave_out_codes(raw: RawTable, tallies: Mapping[str, Tally] | None = None) -> RawTable:
+    """The same table with codes for no value as NaN, told with the block in which each is first. `tallies`: of all
+    blocks of the file, where the table is one of them."""
+    tallies = tallies_of(raw.columns) if tallies is None else tallies
+    for name, tally in tallies.items():
+        data, found = raw.columns[name], tally.found()
+        if not found or isinstance(data, Labels):
+            continue
+        raw.columns[name] = without(data, found)
+        raw.remarks += codes_told(
+            name, tally.rows, [one for one in found if 0 <= one[2] - raw.first_row < raw.rows], raw
+        )
+    return raw
+
+
+def codes_told(name: str, rows: int, found: Found, raw: RawTable | None = None) -> list[Remark]:
+    """What is said of the codes of a column of so many rows."""
+    told = "{} of {} values are exactly {:g}, far from all others: a code for no value"
+    return [
+        Remark("missing", name, told.format(count, rows, code), "they count as missing", "warning",
+               raw.lines(row) if raw is not None else 0, count)
+        for code, count, row in found
+    ]  # fmt: skip
 
 
 def _column(data: Any, name: str, raw: RawTable) -> ColumnData:

@@ -14,7 +14,9 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.logs.raw import ColumnData, RawTable, Remark
+from missionsim.labels import Labels
+from missionsim.logs.codes import without
+from missionsim.logs.raw import ColumnData, RawTable, Remark, codes_told, tallies_of
 from missionsim.physics import Array
 
 ENTRY_POINTS = "missionsim.readers"
@@ -89,6 +91,19 @@ class Reader:
     """What such a file begins like, where its first bytes are not always the same."""
     folder: str = ""
     """Name of a file that makes its folder one source; a folder of such files without it is one as well."""
+
+
+def recorded(reader: Reader, path: Path, options: Options) -> Recording:
+    """What a reader of messages gives, without the codes for no value in them."""
+    assert reader.recording is not None
+    found = reader.recording(path, options)
+    for topic in found.topics:
+        for name, tally in tallies_of(topic.columns).items():
+            data, codes = topic.columns[name], tally.found()
+            if codes and not isinstance(data, Labels):
+                topic.columns[name] = without(data, codes)
+                found.remarks += codes_told(f"{topic.name}.{name}", tally.rows, codes)
+    return found
 
 
 @functools.cache

@@ -18,6 +18,7 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.files import unreadable
 from missionsim.labels import Labels
+from missionsim.logs.codes import Tally
 from missionsim.logs.formats.dialect import (
     MISSING_WORDS,
     Dialect,
@@ -30,7 +31,7 @@ from missionsim.logs.formats.dialect import (
     one_byte_encoding,
     sniff,
 )
-from missionsim.logs.raw import RawTable, Remark, from_arrow, measures, wanted_kind
+from missionsim.logs.raw import RawTable, Remark, from_arrow, leave_out_codes, measures, tallies_of, wanted_kind
 from missionsim.logs.readers import Options, Reader
 from missionsim.logs.times import is_stamp
 
@@ -51,7 +52,7 @@ def read_csv(path: Path, options: Options) -> RawTable:
     most = options.most or math.inf
 
     def whole(file: _File) -> RawTable:
-        raw = next(file.tables(options.wants, most))
+        raw = leave_out_codes(next(file.tables(options.wants, most)))
         if not file.ended and not (file.cut and raw.rows < most):
             action = "read as it is; if the file was cut there, its last number is wrong"
             raw.remarks.append(Remark("format", "", "the last line has no end of line", action, "note"))
@@ -75,9 +76,23 @@ def iter_csv(
     options = options or Options(typed=True, wants=lambda name: columns is None or name in columns or measures(name))
     file = _in_its_encoding(path, options, opened)
     try:
-        yield from file.tables(options.wants, rows)
+        yield from _judged_whole(lambda: _in_its_encoding(path, options, opened).tables(options.wants, rows))
     except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
         raise InputError(_explain(path, file.dialect, options.typed, str(error))) from None
+
+
+def _judged_whole(blocks: Callable[[], Iterator[RawTable]]) -> Iterator[RawTable]:
+    """Blocks without codes for no value, which are judged for whole columns: from the first block on that may have
+    one, the others are read before it is given."""
+    tallies: dict[str, Tally] = {}
+    met = False
+    for count, raw in enumerate(blocks(), 1):
+        if not met:
+            tallies_of(raw.columns, tallies)
+        if not met and (met := any(tally.in_doubt() for tally in tallies.values())):
+            for later in itertools.islice(blocks(), count, None):
+                tallies_of(later.columns, tallies)
+        yield leave_out_codes(raw, tallies) if met else raw
 
 
 Result = TypeVar("Result")
@@ -313,7 +328,7 @@ def read_parquet(path: Path, options: Options) -> RawTable:
     with _open(path) as (handle, names):
         raw = from_arrow(handle.read(columns=list(filter(options.wants, names))), str(path))
         raw.names = tuple(names)
-        return raw
+        return leave_out_codes(raw)
 
 
 def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
@@ -321,10 +336,14 @@ def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) ->
     are read as well."""
     with _open(path) as (handle, names):
         chosen = None if columns is None else [name for name in names if name in columns or measures(name)]
-        first = 0
-        for batch in handle.iter_batches(batch_size=rows, columns=chosen):
-            yield from_arrow(batch, str(path), first_row=first)
-            first += batch.num_rows
+
+        def blocks() -> Iterator[RawTable]:
+            first = 0
+            for batch in handle.iter_batches(batch_size=rows, columns=chosen):
+                yield from_arrow(batch, str(path), first_row=first)
+                first += batch.num_rows
+
+        yield from _judged_whole(blocks)
 
 
 READERS = (

@@ -1,0 +1,128 @@
+"""Numbers that loggers write where they have none: judged for the whole of a column, in tables, long ones and bags."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.importer.mapping import import_source
+from missionsim.inputs.loading import load_map
+from missionsim.logs import iter_blocks, read_log
+from missionsim.logs.codes import Tally, without_codes
+from tests.logs.conftest import write_csv
+
+RNG = np.random.default_rng(3)
+N = 2400
+TIME_S = 0.5 * (np.arange(N) + 0.5)
+SPEED = np.clip(0.5 + 0.6 * np.sin(TIME_S / 9.0), 0.0, None)
+ROUGH_W = 6.0 + 30.0 * SPEED**2 + np.where(RNG.random(N) < 0.5, 0.0, 14.0)
+"""A meter that jumps from row to row as far as a code lies below it."""
+ENERGY_WH = float(ROUGH_W.sum()) * 0.5 / 3600.0
+LOST = RNG.random(N) < 0.05
+
+
+def energy_of(folder: Path, power: np.ndarray) -> tuple[float, list[str]]:
+    log = read_log(write_csv(folder / "run.csv", {"time_s": TIME_S, "power_robot_w": power, "speed_m_s": SPEED}))
+    return log.energy_wh("robot"), [r.message for r in log.remarks if "exactly" in r.message]
+
+
+@pytest.mark.parametrize("code", [-1.0, -2.0, -0.001])
+def test_the_only_value_below_nought_is_none(tmp_path: Path, code: float) -> None:
+    found, said = energy_of(tmp_path, np.where(LOST, code, ROUGH_W.round(3)))
+    assert found == pytest.approx(ENERGY_WH, rel=0.01)
+    assert said == [f"{LOST.sum()} of {N} values are exactly {code:g}, far from all others: a code for no value"]
+
+
+@pytest.mark.parametrize(
+    "power",
+    [
+        np.where(LOST, -ROUGH_W, ROUGH_W).round(3),  # what goes back into the battery
+        np.where(LOST, -1.0, np.where(RNG.random(N) < 0.1, 0.0, ROUGH_W.round())),  # nought is measured as well
+        np.where(SPEED > 1.0, -1.0, 2.0 + ROUGH_W.round(3)).clip(-1.0),  # two stretches, at a limit of the charging
+        np.where(LOST, -1.0, 1.0 + RNG.integers(0, 40, N)),  # steps of one, of which nought is missing by chance
+    ],
+)
+def test_what_may_be_measured_stays(power: np.ndarray) -> None:
+    kept, found = without_codes(power)
+    assert not found
+    assert kept is power
+
+
+def test_two_codes_on_one_side() -> None:
+    gone = np.where(np.arange(N) % 50 == 3, -999.0, np.where(np.arange(N) % 50 == 9, -9999.0, ROUGH_W))
+    kept, found = without_codes(gone)
+    assert [code for code, _, _ in found] == [-9999.0, -999.0]
+    assert np.isnan(kept).sum() == 2 * N / 50
+
+
+@pytest.mark.parametrize("cut", [7, 500, 2000])
+@pytest.mark.parametrize(
+    "column",
+    [
+        np.where(LOST, -1.0, ROUGH_W.round(3)),
+        np.where((np.arange(N) // 600) == 2, -9999.0, ROUGH_W),  # a quarter of the rows, together
+        np.where(np.arange(N) == 900, 999.0, 990.0 + 4.0 * ROUGH_W),  # measured
+        np.where(LOST, 655.35, SPEED),
+        SPEED - 0.3,
+    ],
+)
+def test_a_column_in_blocks_is_judged_as_a_whole(column: np.ndarray, cut: int) -> None:
+    tally = Tally()
+    for first in range(0, N, cut):
+        tally.add(column[first : first + cut])
+    assert tally.found() == without_codes(column)[1]
+
+
+def test_a_column_that_glides_through_minus_one_is_not_read_twice() -> None:
+    tally = Tally()
+    tally.add(np.round(1.5 * np.sin(TIME_S / 9.0), 2))
+    assert -1.0 in tally.met
+    assert not tally.in_doubt()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_block_of_nothing_but_codes(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("missionsim.logs.formats.delimited._BLOCK_BYTES", 4_000)
+    gone = (np.arange(N) // 300) == 3
+    path = write_csv(
+        tmp_path / "run.csv",
+        {
+            "time_s": TIME_S,
+            "power_robot_w": ROUGH_W,
+            "speed_m_s": SPEED,
+            "pressure_pa": np.where(gone, -9999.0, 3 + SPEED),
+        },
+    )
+    if suffix == ".parquet":
+        import pyarrow.csv
+        import pyarrow.parquet
+
+        pyarrow.parquet.write_table(pyarrow.csv.read_csv(path), path.with_suffix(suffix))
+    blocks = list(iter_blocks(path.with_suffix(suffix), rows=100))
+    assert len(blocks) > 10
+    assert all(
+        np.nanmin(np.asarray(block.columns["pressure_pa"])) > 0.0 for block in blocks if "pressure_pa" in block.columns
+    )
+    said = [r for block in blocks for r in block.remarks if "exactly" in r.message]
+    assert [(r.message[:11], r.line) for r in said] == [("300 of 2400", 902 if suffix == ".csv" else 0)]
+
+
+def test_bags(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra 'logs' is not installed")
+    from missionsim.importer.suggest import suggest_map
+    from tests.logs.bag_messages import Bag
+
+    bag = Bag()
+    for t, watt, v, lost in zip(TIME_S, ROUGH_W, SPEED, LOST, strict=True):
+        bag.number("/power", float(t), -9999.0 if lost else float(watt))
+        bag.odometry("/odom", float(t), float(v))
+    path = bag.write(tmp_path / "run")
+    made = suggest_map([path])
+    (tmp_path / "m.yaml").write_text(made.text)
+    (log,) = import_source(path, load_map(tmp_path / "m.yaml"))
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
+    assert "power_robot_w: watts " in made.text  # its sign is not turned by the codes
+    (said,) = [r for r in log.remarks if "exactly -9999" in r.message]
+    assert said.column == "/power.data"
