@@ -41,7 +41,7 @@ class _Met:
     times: int = 0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Tally:
     """What tells whether a column has codes for no value, block by block.
 
