@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from missionsim.diagnose.waterfall import Step, bars_of, best_before, by_chance, clearly_better, rises, worse_note
+from missionsim.diagnose.waterfall import Step, bars_of, best_before, by_chance, clearly_better, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import Proposal, plain, state
 from missionsim.identify.settings import ODDS_NATS
@@ -195,7 +195,9 @@ def sure(battery: BatteryDiagnosis) -> str:
             odds = f"one case in {math.floor(1.0 / p / unit) * unit:,}"
         odds = f"chance would do this in {odds if p < 0.1 else 'many cases'}"
         held = battery.heldout
-        if doubt := "see the runs not used" if held is not None and rises(bars_of(held))[0] else first.doubt:
+        bars = [] if held is None else bars_of(held)
+        less = bool(bars) and bars[-1].power_rmse_w > bars[1].power_rmse_w
+        if doubt := "see the runs not used" if less else first.doubt:
             return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {doubt}."
         seen, alone = ([e.effect for e in clear if ("repeated" in e.level) is is_in] for is_in in (True, False))
         runs = "runs alone are too few to show it"

@@ -160,9 +160,13 @@ def best_before(bars: Sequence[Step]) -> int:
 
 
 def rises(bars: Sequence[Step]) -> tuple[bool, bool]:
-    """Whether the last bar is worse: in power than the best before it by more than `CLEAR_SHARE`; in energy than both
-    the file as it was and a mere recalibration."""
-    power = bars[-1].power_rmse_w > (1.0 + CLEAR_SHARE) * bars[best_before(bars)].power_rmse_w
+    """Whether the last bar is worse: in power than the best before it by more than `CLEAR_SHARE` (than a mere
+    recalibration by more than that part of what it removes, up to `FAR_SHARE`); in energy than both the file as it was
+    and a mere recalibration."""
+    best = best_before(bars)
+    given_w, best_w = bars[0].power_rmse_w, bars[best].power_rmse_w
+    rise_w = max(CLEAR_SHARE * best_w, min(FAR_SHARE * best_w, CLEAR_SHARE * (given_w - best_w)) if best == 1 else 0.0)
+    power = bars[-1].power_rmse_w > best_w + rise_w
     return power, bars[-1].energy_error_pct > SHOWN_PCT + max(bar.energy_error_pct for bar in bars[:2])
 
 
