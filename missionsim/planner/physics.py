@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,8 @@ class Physics:
         self.held_wh = np.zeros(len(self.names))
         self._infos = {info.name: info for info in self.setup.components}
         self._settings: dict[Settings, int] = {}
+        self.pieces: dict[float, dict[str, list[Any]]] = {}
+        """Of each payload, what may be driven from each place (`pieces_of`)."""
         self.impulsive = any(term.effect.impulse is not None for term in self.model.terms)
         self.fades = bool(self.model.memory)
         self.circuits = [name for name, battery in batteries.items() if not isinstance(battery, ConstantEnergy)]

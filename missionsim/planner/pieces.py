@@ -77,7 +77,13 @@ class Piece:
 
 
 def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, list[Piece]]:
-    """All pieces of a task's open edges, by the place where they begin."""
+    """All pieces of a task's open edges, by the place where they begin; made once for all stops of the same task."""
+    if payload_kg not in physics.pieces:
+        physics.pieces[payload_kg] = _pieces(task, physics, payload_kg)
+    return physics.pieces[payload_kg]
+
+
+def _pieces(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, list[Piece]]:
     routes = Routes(task.environment, lambda parameter: parameter.value)
     top = task.robot.body.max_speed.value
     asked: list[tuple[str, DriveSegment]] = []

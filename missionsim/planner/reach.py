@@ -87,12 +87,13 @@ def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] 
     `done`: called after each place. The places are in the order of the environment, without those that no open way
     leads to and back from.
     """
-    found = []
+    found, physics = [], Physics(task)
     for place in task.environment.places:
         if place == task.start:
             done()
             continue
-        site = make_site(task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)}))
+        out = task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)})
+        site = make_site(out, physics=physics)
         names = site.physics.names
         plan: Answer | None = solve_site(site)
         holds: dict[str, float] = {}
@@ -145,7 +146,8 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
         end: Sequence[PlanLeg] | None = back if retraced else []
         if retraced is None and leg.place != site.task.goal:  # by the way of which least is lacking; None without
             visits = (VisitSpec.model_construct(place=leg.place),)
-            other = _least(make_site(site.task.model_copy(update={"start": leg.place, "visits": visits})))
+            homeward = site.task.model_copy(update={"start": leg.place, "visits": visits})
+            other = _least(make_site(homeward, physics=physics))
             end = (
                 None
                 if other is None

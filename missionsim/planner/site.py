@@ -353,13 +353,13 @@ class Site:
         return np.concatenate([[1.0], self.physics.standing_wh(leg.settings, 3600.0) / 3600.0])
 
 
-def make_site(task: TaskSpec, order: Order | None = None) -> Site:
-    """Stops with their costs; roads are made when they are asked for. Raises InputError: where the task asks for what
-    is not planned: turning at places."""
+def make_site(task: TaskSpec, order: Order | None = None, physics: Physics | None = None) -> Site:
+    """Stops with their costs; roads are made when they are asked for. `physics`: of a task that differs from this one
+    in its stops alone. Raises InputError: where the task asks for what is not planned: turning at places."""
     if task.defaults.turn_at_places:
         where, told = ("defaults", "turn_at_places"), "turning at places is not planned"
         raise InputError(task.document.fault(where, told, allowed="turn_at_places: false"))
-    physics = Physics(task)
+    physics = physics or Physics(task)
     energy, time = task.weights()
     weights = np.array([time, *(energy[name] for name in physics.names)])
     ends = [task.within.deadline, None if task.repeat is None else task.repeat.until]
