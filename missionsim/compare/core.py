@@ -150,7 +150,10 @@ def compare(
         for name, meter in model.meters.items()
         if name in batteries
     ]
-    odd = "; ".join(f"{name}: {why}" for name, why in odd_runs(admitted, model).items())
+    alike: dict[str, list[str]] = {}
+    for name, why in odd_runs(admitted, model).items():
+        alike.setdefault(why, []).append(name)
+    odd = "; ".join(f"{', '.join(names)}: {why}" for why, names in alike.items())
     told = [f"{COMPARED}: {odd}"] if odd else []
     if mission is not None and not mission.feasible:
         meters.insert(0, f"the simulated mission is not feasible: {mission.reason}")

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.physics import Array
@@ -33,6 +34,10 @@ NEAR_S, CLEARLY_BETTER, UNRELATED_AT_ALL = 10.0, 0.3, 0.02
 DOWNWARDS, MOST_RUNS, PART_OF_POWER = -6.0, 0.75, 0.05
 """Robust t below which going up costs less than going down, the part of the runs that must show it by themselves, and
 the part of the variance of the power that must go with it (assumed)."""
+FALLS, LEAVES, SWITCHED = 0.2, 0.5, 0.05
+"""Of what a component draws, within which the power must fall by it where it is on, to call its switch inverted; the
+part of the variance that this may leave; the part of the time in which it must be on, and off (assumed)."""
+MOTION_COLUMNS = ("speed_m_s", "yaw_rate_rad_s", "slope_rad")
 APART_S, UNDER_WAY_M_S = 20.0, 0.05
 """Length of the blocks of time that count as independent; speed that is none of a robot that stands (assumed)."""
 STEEP_RAD, STEEPER = 0.3, 12.0
@@ -66,7 +71,7 @@ def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
             continue  # told where the battery is looked at
         for one in driven:
             one.check()
-        apart |= _of_another_time(driven, battery)
+        apart |= _of_another_time(driven, battery) | _inverted(driven, battery)
         if len(own) < FEWEST:
             continue
 
@@ -120,6 +125,38 @@ def _of_another_time(runs: Sequence[Driven], battery: str) -> dict[str, str]:
         why = "rows in another order, another robot's power?"
         return {one.run.run: f"power_{battery}_w has nothing to do with what the robot does: {why}" for one in runs}
     return found if len(found) > 0.5 * len(runs) else {}
+
+
+def _inverted(runs: Sequence[Driven], battery: str) -> dict[str, str]:
+    """All runs, where in each that switches a component the power falls by about what it draws while it is on."""
+    switches = sorted(filter(is_switch, set.intersection(*(set(one.run.columns) for one in runs)))) if runs else []
+    for name in (switch[3:] for switch in switches):
+        found: list[tuple[float, float, float]] = []  # what it draws by the logs and by the model, variance left
+        for one in runs:
+            on, run = one.run.number(f"on_{name}"), one.run
+            terms = [power for key, power in one.terms[battery].items() if key.component == name]
+            own = sum(terms, start=np.zeros_like(on))
+            error = run.power_w[battery] - one.row_w(battery)
+            v, w, slope = (run.number(column) if column in run.columns else 0.0 * on for column in MOTION_COLUMNS)
+            beside = [np.ones_like(on), np.abs(v), v**2, 0.0 * on + is_moving(one.covariates), np.abs(w), v * slope]
+            beside += [run.number(switch) for switch in switches if switch != f"on_{name}"]
+            rest, both = np.stack(beside, axis=1).astype(float), np.stack([on, error], axis=1)
+            if not np.isfinite(both).all() or not np.isfinite(rest).all():
+                continue
+            alone, left = (both - rest @ np.linalg.lstsq(rest, both, rcond=None)[0]).T
+            if min(np.mean(on > 0.0), np.mean(on <= 0.0)) < SWITCHED or np.std(alone) < SWITCHED or not left.any():
+                continue
+            off, takes = float(alone @ left / (alone @ alone)), float(np.mean(own[on > 0.0] / on[on > 0.0]))
+            found.append((off + takes, takes, 1.0 - off * float(alone @ left / (left @ left))))
+        logged, draws, part = np.array(found).reshape(-1, 3).T
+        if len(found) < FEWEST or not (np.abs(logged + draws) < FALLS * draws).all() or np.median(part) > LEAVES:
+            continue
+        told = (
+            f"on_{name}: the power falls by {-np.median(logged):.3g} W where it is 1, and '{name}' draws "
+            f"{np.median(draws):.3g} W: is it inverted? A map turns it (1 - on_{name})"
+        )
+        return dict.fromkeys((one.run.run for one in runs), told)
+    return {}
 
 
 def _downwards(runs: Sequence[Run], battery: str) -> str:
@@ -241,7 +278,10 @@ def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Ru
         faults = [Fault(run.source, 0, 0, odd[run.run]) for run in kept if run.run in odd]
         kept = [run for run in kept if run.run not in odd]
         if faults and not kept:
-            raise InputError(faults)
+            one = len({fault.message for fault in faults}) == 1 < len(faults)
+            raise InputError(
+                replace(faults[0], message=f"{faults[0].message} (all {len(faults)} runs)") if one else faults
+            )
     return kept, told
 
 

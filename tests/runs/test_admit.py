@@ -51,6 +51,26 @@ def test_a_run_without_a_speed_stops_nobody(runs: list[Run]) -> None:
     assert line == "run_02: it has no speed_m_s, which most runs have: it cannot be driven"
 
 
+def test_a_switch_that_is_inverted_everywhere_is_told(runs: list[Run]) -> None:
+    """The model is too high where it is on, and too low where it is off: no effect was named, and the error stayed."""
+    turned = [replace(run, columns={**run.columns, "on_kinect": 1.0 - run.columns["on_kinect"]}) for run in runs]
+    with pytest.raises(
+        InputError, match=r"on_kinect: the power falls by 2.8.* is it inverted\? A map turns it"
+    ) as error:
+        admit(turned, build_power_model(load_robot("pioneer3dx")))
+    assert str(error.value).endswith(f"(all {len(runs)} runs)")
+    still = [replace(run, columns={"time_s": run.time_s, "on_kinect": run.columns["on_kinect"]}) for run in runs]
+    admit(still, build_power_model(load_robot("pioneer3dx")))
+
+
+def test_a_load_that_runs_while_another_rests_makes_no_inverted_switch(runs: list[Run]) -> None:
+    """A heater of 5 W whenever the camera of 2.8 W is off."""
+    heated = [
+        replace(run, power_w={"robot": run.power_w["robot"] + 5.0 * (1.0 - run.columns["on_kinect"])}) for run in runs
+    ]
+    assert told(heated) == []
+
+
 def test_a_switch_that_is_stuck_is_told_where_the_power_lacks_what_it_switches(runs: list[Run]) -> None:
     """A camera that is on now and then, and in one run off all the time but logged as on."""
     made = []
