@@ -19,7 +19,7 @@ from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData
 from missionsim.logs.readers import Options, Reader, reader_of, recorded
-from missionsim.logs.times import is_stamp, numbers_as_times
+from missionsim.logs.times import Stamps, TimeError, is_stamp, numbers_as_times
 from missionsim.physics import Array
 
 WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words.yaml")).data
@@ -338,12 +338,17 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     usual = float(np.median(step[step > 0]))
     score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
-    stamps = numbers_as_times(known)
+    try:
+        stamps = numbers_as_times(known)
+    except TimeError:  # days, or seconds of a clock: the map that is suggested asks
+        stamps = Stamps(known, "own", "days or seconds", likely=False)
     epoch = stamps.kind != "own"
     in_days = (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5) and known[-1] - known[0] < 3
-    if not unit and in_days and 0 < np.median(step) < 1e-3:
+    if not unit and not epoch and in_days and 0 < np.median(step) < 1e-3:
         return Guess("time", field.name, "d", score, "days, as spreadsheets count them", "likely")
-    why = "grows from row to row" + (", an epoch" if epoch else f", {unit}" if unit else "")
+    why = "grows from row to row" + (
+        ", an epoch" if stamps.kind == "utc" else f", {stamps.form}" if epoch else f", {unit}" if unit else ""
+    )
     if not unit and not epoch and usual >= 5.0 and (step == np.round(step)).all():
         # whole numbers that are no seconds: the unit in which a row lasts 1 ms to 10 s, and all of them 20 s or more
         span = float(known[-1] - known[0])

@@ -71,7 +71,9 @@ class Tally:
         """Take the next rows of the column, shape (n,)."""
         if not len(data):
             return
-        rest = data if np.isfinite(data.sum()) else data[np.isfinite(data)]
+        with np.errstate(over="ignore"):
+            whole = np.isfinite(data.sum())
+        rest = data if whole else data[np.isfinite(data)]
         ones = data == -1.0
         rest = rest[rest != -1.0] if ones.any() else rest
         while len(rest):

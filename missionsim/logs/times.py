@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
+from missionsim.logs.clocks import (
+    HOURS_MINUTES,
+    as_days,
+    hours_on,
+    in_zone,
+    is_minutes,
+    minutes_and_seconds,
+    pair_in_doubt,
+    refuse_from_nought,
+    seconds_of,
+    split_offset,
+    written_out,
+)
+from missionsim.logs.clocks import TimeError as TimeError
 from missionsim.logs.raw import RawTable, Remark
+from missionsim.numerals import counted
 from missionsim.physics import Array
 
 _CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"
@@ -43,10 +58,6 @@ _SLOWEST_S, _YEAR_S = 3000.0, 3e7
 NO_TIME = "no time stamp that is known: ISO 8601, 14.03.2025 09:21:33,250, 09:21:33.25, or a number"
 
 
-class TimeError(ValueError):
-    """Why texts or numbers cannot be read as times."""
-
-
 @dataclass
 class Stamps:
     """Times of rows."""
@@ -66,7 +77,7 @@ class Stamps:
 def is_stamp(text: str) -> bool:
     """Whether a text is written like a time stamp, a date or a time of day."""
     text = _in_numbers(text.strip())
-    return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED))
+    return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED)) or is_minutes(text)
 
 
 def date_and_clock(text: str) -> tuple[bool, bool]:
@@ -77,7 +88,7 @@ def date_and_clock(text: str) -> tuple[bool, bool]:
 
 def _in_numbers(text: str) -> str:
     """A date with the month's name, ``14.03.25`` or ``20250314_092133`` as ISO 8601; any other text as it is."""
-    text = _COMPACT.sub(r"\1-\2-\3 \4:\5:", text)
+    text = _COMPACT.sub(r"\1-\2-\3 \4:\5:", written_out(text))
     text = re.sub(r"\A(\d{1,2}/\d{1,2}/)(\d{2})(?=[,T ]|\Z)", r"\g<1>20\2", text)
     if re.search(r":\d{2}:\d{3}\Z", text):
         text = f"{text[:-4]}.{text[-3:]}"
@@ -109,8 +120,10 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
     are wall time of a zone that is not known. Raises TimeError: texts that are no time stamps; local times that do not
     say which of two hours they are in.
     """
-    found = [numbers_as_times(part) if not isinstance(part, Labels) else _texts(part) for part in parts]
+    found = [numbers_as_times(part) if not isinstance(part, Labels) else _texts(part, zone) for part in parts]
     whole = found[0]
+    if whole.form == HOURS_MINUTES and len(parts) == 1:
+        _told_apart(whole, parts[0], name)
     if local and whole.kind == "utc":
         whole = Stamps(whole.seconds, "local", "ISO 8601 without a zone")
     if len(found) == 2:
@@ -127,7 +140,7 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
         message = f"the time of day passes midnight {int(back.sum())} times"
         whole.remarks.append(Remark("clock", name, message, "a day was added each time", "note"))
     elif whole.kind == "local" and zone is not None:
-        whole, values = Stamps(whole.seconds, "utc", f"{whole.form}, {zone}"), _in_zone(values, zone)
+        whole, values = Stamps(whole.seconds, "utc", f"{whole.form}, {zone}"), in_zone(values, zone)
     elif whole.kind == "local":
         values = _clock_changes(values, name, whole.remarks)
     if whole.kind != "own":
@@ -139,6 +152,14 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
             told, severity = f"{told}, which says the year {year}: another unit, or another zero?", "warning"
         whole.remarks.insert(0, Remark("clock", name, told, "read as seconds", severity))
     return whole
+
+
+def _told_apart(whole: Stamps, texts: Array | Labels, name: str) -> None:
+    """Doubt texts such as ``12:34`` without a date. Raises TimeError: they may be read in both ways."""
+    if isinstance(texts, Labels):
+        refuse_from_nought(texts.names[0].strip())
+    told = "each time is two numbers with a colon between: minutes and seconds?"
+    whole.remarks.append(Remark("clock", name, told, "read as hours and minutes", "warning"))
 
 
 _ABSURD_S = 1e11
@@ -189,6 +210,8 @@ class TimeAxis:
             found = read_stamps([data], "time_s", local="time_s" in raw.local)
         except TimeError as error:
             raise InputError(Fault(raw.file, raw.line(0), 0, str(error), "time_s")) from None
+        if found.kind == "own" and self.end is None:
+            raw.remarks += found.remarks
         known = found.seconds[np.isfinite(found.seconds)]
         self._refuse_absurd(raw, found.seconds, known)
         if found.kind != "own" and len(known):
@@ -241,6 +264,8 @@ def numbers_as_times(values: Array) -> Stamps:
         if _FIRST_S < middle * 1e-7 - zero_s < _LAST_S:
             return Stamps(values * 1e-7 - zero_s, "utc", f"tenths of a microsecond since {told}")
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    if (days := as_days(values, usual)) is not None:
+        return Stamps(days[0], "local", days[1])
     found = next(((factor, unit) for limit, factor, unit in _EPOCHS if middle > limit), None)
     if found is None or (usual > _SLOWEST_S * found[0] and float(np.ptp(known)) > _YEAR_S * found[0]):
         return Stamps(values, "own", "seconds")
@@ -267,17 +292,25 @@ def _in_digits(values: Array) -> Array | None:
     return np.where(known, days * _DAY_S + hour * _HOUR + minute * 60.0 + second + rest, np.nan)
 
 
-def _texts(labels: Labels) -> Stamps:
+def _texts(labels: Labels, zone: str | None) -> Stamps:
     """Times of texts, each distinct text read once."""
     import pandas as pd
 
-    texts = pd.Series([_in_numbers(text.strip()) for text in labels.names], dtype="object")
+    given = [written_out(text.strip(), drop=zone is not None) for text in labels.names]
+    texts = pd.Series([_in_numbers(text) for text in given], dtype="object")
     sample = next(iter(texts), "")
+    if (minutes := minutes_and_seconds(given)) is not None:
+        seconds, hours = hours_on(np.r_[minutes, np.nan][labels.codes])
+        told = Remark("clock", "time_s", "recognised as minutes and seconds", "read as seconds", "note")
+        if hours:
+            message = f"{told.message} that begin anew {counted(hours, 'time')}"
+            told = replace(told, message=message, action="an hour was added each time")
+        return Stamps(seconds, "own", "minutes and seconds", [told])
     if _DAY.match(sample):
-        kind, form = "day", "a time of day"
+        kind, form = "day", HOURS_MINUTES if pair_in_doubt(given) else "a time of day"
         if texts.str.contains("[AP]M", case=False, regex=True).any():
             dates = pd.to_datetime("2000-01-01 " + texts, format="mixed", errors="coerce", utc=True)
-            values = _seconds(dates) - 946684800.0
+            values = seconds_of(dates) - 946684800.0
         else:
             full = texts.str.replace(",", ".").where(texts.str.count(":") > 1, texts + ":00")
             values = np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
@@ -288,31 +321,25 @@ def _texts(labels: Labels) -> Stamps:
         plain = texts.str.replace(",", ".").str.replace("/", "-").str.replace("_", " ")
         plain = plain.str.replace(r"(?<=\d)\s*(UTC|GMT)$", "Z", regex=True)
         plain = plain.str.replace(r"^(\d{4})\.(\d{2})\.(\d{2})", r"\1-\2-\3", regex=True)
-        values = _seconds(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
+        values = seconds_of(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
     elif _DATED.match(sample):
         kind, form, values = _dated(texts)
     else:
-        raise TimeError(f"'{sample[:40]}' is {NO_TIME}")
+        raise TimeError(f"'{next(iter(labels.names), '')[:40]}' is {NO_TIME}")
     if len(values) and np.isnan(values).mean() > 0.05:
         bad = texts[int(np.argmax(np.isnan(values)))]
         raise TimeError(f"'{bad[:40]}' is {NO_TIME}")
     return Stamps(np.r_[values, np.nan][labels.codes], kind, form)
 
 
-def _seconds(times: object) -> Array:
-    """Seconds since 1970 of a pandas Series of times, NaT as NaN."""
-    import pandas as pd
-
-    series = pd.Series(times)
-    whole = series.to_numpy(dtype="datetime64[ns]").astype("int64").astype(np.float64) * 1e-9
-    return np.where(series.isna().to_numpy(), np.nan, whole)
-
-
-def _dated(texts: object) -> tuple[str, str, Array]:
+def _dated(texts: Iterable[str]) -> tuple[str, str, Array]:
     """Day first or month first: the one that every date fits, and then the one that spans less time."""
     import pandas as pd
 
-    series = pd.Series(texts).str.replace(r"^(\d{1,2})[-/.](\d{1,2})[-/.]", r"\1/\2/", regex=True)
+    parts = [split_offset(text) for text in texts]
+    series = pd.Series([text for text, _ in parts], dtype="object").str.replace(
+        r"^(\d{1,2})[-/.](\d{1,2})[-/.]", r"\1/\2/", regex=True
+    )
     series = series.str.replace(r"^(\S*?\d{4}),?[T ]+", r"\1 ", regex=True).str.replace(",", ".")
     kind = "local" if ":" in str(series.iloc[0]) else "date"
     mark = "%I" if series.str.contains("[AP]M", case=False, regex=True).any() else "%H"
@@ -322,10 +349,12 @@ def _dated(texts: object) -> tuple[str, str, Array]:
         series = series.where(series.str.contains(".", regex=False), series + ".0")
     readings = []
     for form, words in (("%d/%m/%Y", "day first"), ("%m/%d/%Y", "month first")):
-        values = _seconds(pd.to_datetime(series, format=form + tail, errors="coerce"))
+        values = seconds_of(pd.to_datetime(series, format=form + tail, errors="coerce"))
         known = values[np.isfinite(values)]
         readings.append((float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values))
     _, _, words, values = min(readings, key=lambda reading: reading[:2])
+    if all(offset is not None for _, offset in parts):
+        return "utc", f"a date, {words}, and time with a zone", values - np.array([offset for _, offset in parts])
     return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values
 
 
@@ -352,26 +381,3 @@ def _clock_changes(values: Array, name: str, remarks: list[Remark]) -> Array:
     action = "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed"
     remarks.append(Remark("clock", name, told, action, "warning", 0, int(back.sum() + forward.sum())))
     return np.asarray(values + np.cumsum(np.r_[0.0, _HOUR * back - _HOUR * forward]))
-
-
-def _in_zone(seconds: Array, zone: str) -> Array:
-    """Wall time of a zone to UTC."""
-    import pandas as pd
-
-    if match := re.fullmatch(r"(?:UTC)?([+-])(\d{1,2})(?::?(\d{2}))?", zone.strip()):
-        offset = int(match[2]) * _HOUR + int(match[3] or 0) * 60.0
-        return seconds - (offset if match[1] == "+" else -offset)
-    wall = pd.DatetimeIndex(np.round(seconds * 1e9).astype("int64").astype("datetime64[ns]"))
-    try:
-        times = wall.tz_localize(zone, ambiguous="infer", nonexistent="raise")
-    except (KeyError, LookupError, TypeError) as error:
-        if type(error).__name__ in ("ZoneInfoNotFoundError", "UnknownTimeZoneError", "KeyError"):
-            raise TimeError(f"there is no zone '{zone}'; such as Europe/Berlin, UTC or +02:00") from None
-        raise TimeError(str(error)) from None
-    except ValueError as error:
-        reason = str(error).splitlines()[0]
-        raise TimeError(
-            f"in {zone} the clocks change within these times and they do not say on which side they are ({reason}); "
-            "give the offset in place of the zone: +02:00"
-        ) from None
-    return _seconds(times.tz_convert(None))

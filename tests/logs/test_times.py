@@ -32,6 +32,10 @@ FORMS = {
     "american": lambda t: _milli(t.strftime("%m/%d/%Y %I:%M:%S.%f")) + t.strftime(" %p"),
     "british": lambda t: _milli(t.strftime("%d/%m/%Y %H:%M:%S.%f")),
     "time of day": lambda t: _milli(t.strftime("%H:%M:%S.%f")),
+    "zone's name": lambda t: _milli(t.strftime("%Y-%m-%d %H:%M:%S.%f")) + " CEST",
+    "german with a zone": lambda t: _milli(t.strftime("%d.%m.%Y %H:%M:%S,%f")) + " UTC",
+    "dots": lambda t: _milli(t.strftime("%d-%m-%Y %H.%M.%S.%f")),
+    "ctime": lambda t: f"{t:%a %b %d %H:%M:%S}.{t.microsecond // 1000:03d} CET {t:%Y}",
     "compact": lambda t: _milli(t.strftime("%Y%m%dT%H%M%S.%f")),
 }
 
@@ -106,3 +110,62 @@ def test_a_bad_stamp_among_good_ones_is_a_missing_time(tmp_path: Path) -> None:
     log = read_log(path)
     assert log.rows == len(texts) - 1
     assert any(r.message == "1 row without a time" for r in log.remarks)
+
+
+def test_zones_by_name_change_with_the_clocks() -> None:
+    texts = Labels.of(["2024-10-27 02:59:59 CEST", "2024-10-27 02:00:00 CET", "27.10.2024 02:00:01 MEZ"][:2])
+    np.testing.assert_array_equal(np.diff(read_stamps([texts], "t").seconds), [1.0])
+
+
+def test_a_name_of_several_zones_is_asked_for() -> None:
+    texts = Labels.of(["2024-11-23 13:10:00 CST", "2024-11-23 13:10:01 CST"])
+    with pytest.raises(TimeError, match=r"several zones of the name CST; say which in a map \(zone: America/Chicago\)"):
+        read_stamps([texts], "t")
+    found = read_stamps([texts], "t", "America/Chicago").seconds
+    assert found[0] == datetime(2024, 11, 23, 13, 10, tzinfo=ZoneInfo("America/Chicago")).timestamp()
+
+
+@pytest.mark.parametrize(
+    ("texts", "steps"),
+    [
+        (["09:59.5", "10:00.0", "10:00.5"], [0.5, 0.5]),
+        (["59:59,9", "00:00,1", "00:00,3"], [0.2, 0.2]),  # as spreadsheets show times, without the hour
+        (["59:59.9", "60:00.1", "61:00.1"], [0.2, 60.0]),
+        (["59:58", "59:59", "60:00"], [1.0, 1.0]),
+    ],
+)
+def test_minutes_and_seconds(texts: list[str], steps: list[float]) -> None:
+    found = read_stamps([Labels.of(texts)], "t")
+    np.testing.assert_allclose(np.diff(found.seconds), steps, atol=1e-9)
+    assert "minutes and seconds" in found.remarks[0].message
+
+
+def test_two_numbers_with_a_colon_are_hours_and_minutes_only_beside_a_date() -> None:
+    with pytest.raises(TimeError, match="'00:01' may be hours and minutes, or minutes and seconds"):
+        read_stamps([Labels.of(["00:01", "00:02", "00:03"])], "t")
+    late = read_stamps([Labels.of(["13:10", "13:11"])], "t")
+    assert [remark.severity for remark in late.remarks] == ["note", "warning"]
+    dated = read_stamps([Labels.of(["2024-11-23", "2024-11-23 "]), Labels.of(["00:01", "00:02"])], "t")
+    assert np.diff(dated.seconds)[0] == 60.0
+    assert not [remark for remark in dated.remarks if remark.severity == "warning"]
+
+
+@pytest.mark.parametrize(("zero", "who"), [(25569.0, "spreadsheets count"), (719529.0, "MATLAB counts")])
+def test_days(tmp_path: Path, zero: float, who: str) -> None:
+    """A log of such times was 86,400 times too short, with nothing said."""
+    days = zero + (START.replace(tzinfo=UTC).timestamp() + TRUE) / 86400.0
+    found = read_stamps([days], "t")
+    assert found.remarks[0].message == f"recognised as days, as {who} them"
+    assert found.seconds[0] == pytest.approx(START.replace(tzinfo=UTC).timestamp(), abs=1e-3)
+    np.testing.assert_allclose(found.seconds - found.seconds[0], TRUE, atol=1e-4)
+    rows = [f"{day:.10f},{10 + i % 3}" for i, day in enumerate(days)]
+    (tmp_path / "run.csv").write_text("time_s,power_robot_w\n" + "\n".join(rows) + "\n")
+    assert read_log(tmp_path / "run.csv").duration_s == pytest.approx(20.0, abs=0.3)
+
+
+def test_days_or_seconds_are_asked_for() -> None:
+    """Rows of ten seconds as days, or of 8.6 kHz."""
+    with pytest.raises(TimeError, match=r"may be days, as spreadsheets count them, or seconds; .* unit: d"):
+        read_stamps([45619.5 + np.arange(50) / 8640.0], "t")
+    seconds = 45619.5 + 0.001 * np.arange(50)  # of a clock, at 1 kHz
+    assert read_stamps([seconds], "t").kind == "own"
