@@ -48,7 +48,7 @@ def rows_called(keys: Sequence[str], names: Sequence[str]) -> list[int]:
             return rows
     for name in names:
         number = re.fullmatch(r"\D*?0*(\d+)", name)
-        if number and (rows := [row for row, key in enumerate(keys) if key.lstrip("0") == number[1]]):
+        if number and (rows := [row for row, key in enumerate(keys) if re.fullmatch(rf"0*{number[1]}", key)]):
             return rows
     return []
 

@@ -10,6 +10,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.errors import Fault, InputError
 from missionsim.importer.mapping import import_source
+from missionsim.importer.run_table import rows_called
 from missionsim.importer.sources import find_files
 from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
@@ -68,6 +69,10 @@ def test_how_a_row_names_its_run(tmp_path: Path, keys: tuple[str, ...]) -> None:
     assert [remark.severity for remark in said] == ["note"]
     assert "1 of 3 rows of" in said[0].message
     assert "line 4" in said[0].message
+
+
+def test_numbers_count_from_nought_as_well() -> None:
+    assert [rows_called(["0", "1", "10"], [name]) for name in ("run_00", "run_10", "run_1_2")] == [[0], [2], []]
 
 
 def test_a_table_in_the_folder_of_the_logs_is_no_log(tmp_path: Path) -> None:
