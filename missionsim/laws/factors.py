@@ -136,9 +136,7 @@ class _Builder:
         """Parts of a quantity above values that the runs hold, or below, which bend into what is switched on there."""
         symbol, kind = SYMBOLS.get(name, name), f"{name} above {above}"
         every = np.concatenate(self.raw(name))
-        # where most of the rows lie, and out to where few do
-        first, last = (float(q) for q in np.quantile(every, (0.01, 0.99)))
-        levels = [*np.quantile(every, TENTHS), *np.linspace(first, last, EVENLY)]
+        levels = _levels(every)
         bends = [level for level in levels if _round(float(level)) or np.min(every) < 0.0]  # above 0 it is itself
         ramps = (f"{name} - #", f"{symbol} − #") if above else (f"# - {name}", f"# − {symbol}")
         self.family(name, f"max({ramps[0]}, 0)", f"({ramps[1]})₊", 1, bends, coarse, kind=kind, more=(0.0,))
@@ -165,6 +163,12 @@ class _Builder:
 def _quantiles(values: Sequence[Array], parts: Sequence[float] | Array) -> list[float]:
     every = np.concatenate([v[v > 0.0] for v in values])
     return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
+
+
+def _levels(values: Array) -> list[float]:
+    """Thresholds where most of the rows lie, and out to where few do."""
+    first, last = (float(q) for q in np.quantile(values, (0.01, 0.99)))
+    return [*np.quantile(values, TENTHS), *np.linspace(first, last, EVENLY)]
 
 
 def _round(value: float) -> float:
@@ -270,8 +274,9 @@ def _speeds(b: _Builder, name: str) -> None:
     if low <= 0.0:
         return
     # what rises from a speed on, or is there from it on as a gait or a gear is
-    above, steps = f"{name} above", [*levels, *0.5 * np.add(levels[1:], levels[:-1])]
-    b.family(name, f"max({text} - #, 0)", "(v − #)₊", 2, levels, (middle, high), kind=above, more=(0.0,))
+    above, ramps = f"{name} above", _levels(np.concatenate([x[x > 0.0] for x in driven]))
+    steps = [*ramps, *0.5 * np.add(levels[1:], levels[:-1])]
+    b.family(name, f"max({text} - #, 0)", "(v − #)₊", 2, ramps, (middle, high), kind=above, more=(0.0,))
     b.family(name, f"({text} > #)", "[v > #]", 2, steps, (), kind=above, more=(1.0,))
     b.family(name, f"tanh({text} / #)", "tanh(v/#)", 2, low * BENDS_AT, (low,))
     falling = (f"{moves} * exp(-{text} / #)", "[moving]·exp(−v/#)")
@@ -294,7 +299,8 @@ def _turning(b: _Builder, name: str) -> None:
     low, middle, high = _quantiles(turned, (0.25, 0.5, 0.75))
     b.add(name, f"({text} > {gate:g})", "[turning]", 1)
     b.family(name, f"tanh({text} / #)", "tanh(|ω|/#)", 2, low * BENDS_AT, (low,))
-    b.family(name, f"max({text} - #, 0)", "(|ω| − #)₊", 2, _quantiles(turned, TENTHS), (middle, high))
+    levels = _levels(np.concatenate([x[x > 0.0] for x in turned]))
+    b.family(name, f"max({text} - #, 0)", "(|ω| − #)₊", 2, levels, (middle, high))
 
 
 def _further(b: _Builder, name: str) -> None:

@@ -299,6 +299,27 @@ def test_an_actuator_takes_power_while_it_moves(one_way: bool, loaded: bool) -> 
 
 
 @pytest.mark.usefixtures("laws_at_once")
+def test_a_threshold_may_lie_where_few_rows_do() -> None:
+    """A skid from 0.57 rad/s on, which one row in 25 reaches, and light runs turn no faster than 0.7 rad/s: the grammar
+    had no threshold above 0.44 rad/s, where it was there with a load alone, and light runs that turn fast were off."""
+    rng, runs = np.random.default_rng(1), []
+    for number, payload in enumerate([0.0, 2.0, 4.0, 2.0, 0.0, 6.0]):
+        rows, parts = 900, 60
+        kind = rng.choice(3, parts, p=[0.5, 0.46, 0.04])
+        fast = rng.uniform(0.58, 1.15 if payload else 0.7, parts)
+        turns = np.repeat(np.select([kind == 1, kind == 2], [rng.uniform(0.05, 0.45, parts), fast], 0.0), 15)
+        yaw = np.abs(turns + 0.01 * rng.standard_normal(rows)) * (turns > 0.0)
+        speed = np.repeat(rng.uniform(0.0, 0.6, rows // 30), 30)
+        gradient = {"c3": 40.0 * speed, "c4": np.full(rows, 30.0)}
+        costs = 80.0 * np.maximum(yaw - 0.57, 0.0) + 0.6 * rng.standard_normal(rows)
+        columns = {"speed_m_s": speed, "yaw_rate_rad_s": yaw, "payload_kg": np.full(rows, payload)}
+        runs.append(run_of(number, gradient, costs, **columns))
+    made = law_of(runs, c3=0.05, c4=0.05)
+    assert re.sub(r"[\d.]+(?=, 0)", "#", made.first.formula) == "k * max(abs(yaw_rate_rad_s) - #, 0)"
+    assert float(re.findall(r"- ([\d.]+)", made.first.formula)[0]) == pytest.approx(0.57, abs=0.03)
+
+
+@pytest.mark.usefixtures("laws_at_once")
 @pytest.mark.parametrize("uphill_alone", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_law_may_follow_what_hardly_changes_where_it_acts(uphill_alone: bool) -> None:
     """A load that was carried uphill alone: the dearer climb was told as the slope's, without a word of the load."""
