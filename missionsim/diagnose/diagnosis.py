@@ -50,6 +50,9 @@ if TYPE_CHECKING:
 
 MOST_WHERE = 4
 MOST_SHIFTS = 4
+HARDLY, OTHER_UNIT = 0.01, 3.0
+"""Part of the mean power by which a parameter that moves is told; factor from which on it may be in another unit
+(assumed)."""
 STANDS_IN = "stood in for a law that the library does not hold"
 OTHER_FACTOR = "a law of its column has a factor that no converter has"
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together, or to more than can be"
@@ -186,7 +189,7 @@ def diagnose_battery(
     left, more = found.unexplained, list[Structure]()
     # beside what was found, a base within its priors was not far off: it had taken the part of what was missing
     if features.given_sd and (
-        told := _far(recalibration, settings.recalibration_limit, alone=not (effects or proposed))
+        told := _far(recalibration, settings.recalibration_limit, found.mean_power_w, alone=not (effects or proposed))
     ):
         more.append(Structure("", 0.0, 0.0, 0.0, told))
     if found.factor is None and not found.averages and (over := leftover(found, features.covariates)) is not None:
@@ -325,12 +328,18 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
     return Named(effects, tuple(candidates), proposed, fitted, written[0][1] if written else fitted)
 
 
-def _far(recalibration: Sequence[Recalibrated], limit: float, *, alone: bool) -> str:
-    """In words, that a base which these runs refute is off; else empty. `alone`: nothing else explains them."""
+def _far(recalibration: Sequence[Recalibrated], limit: float, mean_power_w: float, *, alone: bool) -> str:
+    """In words, that a base which these runs refute is off; else empty. `alone`: nothing else explains them. What moves
+    most power is told first, and what moves hardly any is not told beside it."""
     moved = [one for one in recalibration if abs(one.shift) > Z95 * one.shift_sd]
     if any(abs(one.shift_in_prior_sd) > limit for one in moved):
+        watts = {one.parameter: abs(one.shift) * float(np.nan_to_num(one.power_w)) for one in moved}
+        moved = sorted(moved, key=lambda one: -watts[one.parameter])
+        moved = [one for one in moved if watts[one.parameter] > HARDLY * mean_power_w] or moved
         shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in moved[:MOST_SHIFTS])
-        return f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
+        units = any(one.shift > OTHER_UNIT - 1.0 or one.shift < 1.0 / OTHER_UNIT - 1.0 for one in moved)
+        what = f"far from right{', in other units perhaps,' * units} and was fitted anew"
+        return f"the base of the robot file is {what}: {shifts}"
     if not alone:
         return ""
     return "the base of the robot file does not describe these runs; which of its parameters is off they do not say"

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""
+OWN_ROWS = 0.1
+"""Part of the mean power that a parameter with rows of its own may make, however little the file gives it (assumed)."""
 
 
 @dataclass(frozen=True)
@@ -93,20 +95,21 @@ def _priors_of(subject: Subject, features: Features, logs: Sequence[Run]) -> dic
     """Priors of the base parameters; for those that were fitted to these very logs, so wide that they say nothing.
 
     Parameters of one formula of motion share its power among them as what is missing bends it, so that one may make all
-    the power even where it now makes hardly any. Power at rest and of components has rows of its own.
+    the power even where it now makes hardly any. Power at rest and of components has rows of its own, and may be a
+    tenth of it where the file has hardly any.
     """
     priors = {}
     for name, parameter in features.parameters.items():
         given = (subject.priors or {}).get(name, prior_before(subject, parameter, logs))
         given = float(np.hypot(given, features.steady.get(name, 0.0)))
         priors[name] = max(given, 1e-6) if given < NO_PRIOR_SD else LEAST_FREE_SD  # 0 is as good as known
-        if given < NO_PRIOR_SD or not of_formula(parameter):
+        if given < NO_PRIOR_SD:
             continue
         parts = [float(np.mean(np.abs(run.gradient[name]))) for run in features.runs if name in run.gradient]
         size = float(np.mean(parts)) if parts else 0.0
         if size > 0.0:
             power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in features.runs]))
-            priors[name] = max(LEAST_FREE_SD, power / size)
+            priors[name] = max(LEAST_FREE_SD, (1.0 if of_formula(parameter) else OWN_ROWS) * power / size)
     return priors
 
 

@@ -33,6 +33,8 @@ from missionsim.runs.run import Run
 KINDS = ("nominal", "recalibrated", "with_effects")
 MOST_LOST = 0.5
 """Part of the energy that a resistance on the way takes at most (maximum power transfer)."""
+LEFT = 0.05
+"""Part of its size to which a coefficient of motion falls where an effect takes its place (assumed)."""
 PARTS = 4
 """Of the runs, each predicted from the others: with fewer, each would be fitted to too few runs of a floor."""
 
@@ -142,18 +144,19 @@ class Models:
         return tuple(told)
 
     def leaning(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
-        """The effects, with what of the formula of motion falls below nothing beside each in this fit, and with what
-        each gives back."""
-        formula = [name for name, parameter in self.features.parameters.items() if of_formula(parameter)]
-        below = {name: new for name in formula if (new := fitted.values.get(name)) is not None and new.value < 0.0}
+        """The effects, with what of the formula of motion falls below nothing, or to hardly anything, beside each in
+        this fit, and with what each gives back."""
+        formula = {name: one.value for name, one in self.features.parameters.items() if of_formula(one)}
+        fits = {name: fitted.values[name] for name in formula if name in fitted.values}
+        below = {name: new for name, new in fits.items() if new.value < max(0.0, LEFT * formula[name])}
         back = _given_back(self, [one.effect for one in effects if "regeneration" in one.parameters], fitted)
         told = []
         for effect in effects:
             without = self.fit([one for one in effects if one is not effect]).values if below else {}
             falls = [
-                f"beside it {name} of the base falls below nothing, from {rounded(without[name].value)} to "
-                f"{rounded(new.value)}: the two together are one curve, which something else that is missing may bend "
-                "so"
+                f"beside it {name} of the base falls {'below nothing' if new.value < 0.0 else 'to hardly anything'}, "
+                f"from {rounded(without[name].value)} to {rounded(new.value)}: the two together are one curve, which "
+                "something else that is missing may bend so"
                 for name, new in below.items()
                 if name in without and new.value + Z95 * new.sd < without[name].value
             ]
@@ -300,6 +303,7 @@ class Models:
             if (own := self.features.parameters.get(name)) is None:
                 continue
             shift = new.value / own.value - 1.0
+            parts = [float(np.mean(np.abs(run.gradient[name]))) for run in self.features.runs if name in run.gradient]
             rows.append(
                 Recalibrated(
                     parameter=name,
@@ -309,6 +313,7 @@ class Models:
                     value=new.value,
                     sd=new.sd,
                     unit=own.unit,
+                    power_w=float(np.mean(parts)) if parts else float("nan"),
                 )
             )
         return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))

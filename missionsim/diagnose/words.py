@@ -178,11 +178,12 @@ def share_told(effect: Finding) -> str:
 
 
 def found_line(effect: Finding) -> str:
-    """An effect that was found: share of energy with interval, parameters, level."""
+    """An effect that was found: share of energy with interval, parameters, level; one in doubt is seen and no more."""
+    level = effect.level.replace("identified", "seen") if effect.doubt else effect.level
     runs = f", {p_told(effect.p_runs, what='p over runs')}" if math.isfinite(effect.p_runs) else ""
     return (
         f"{effect.effect}: {share_told(effect)}; {parameters_told(effect)}; "
-        f"{effect.level}, {p_told(effect.p_value)}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
+        f"{level}, {p_told(effect.p_value)}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
     )
 
 

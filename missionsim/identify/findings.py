@@ -192,6 +192,8 @@ class Recalibrated:
     """Both: the new value with its standard deviation, in ``unit``; NaN where the parameter is known by its gradient
     only."""
     unit: str = ""
+    power_w: float = float("nan")
+    """Mean power that it made before, where that is known."""
 
     @property
     def shift_pct(self) -> float:

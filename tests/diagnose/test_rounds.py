@@ -299,6 +299,20 @@ def test_beside_what_a_parameter_of_motion_falls_below_nothing_is_told_once(fall
     assert told[1].doubt == ""
 
 
+@pytest.mark.parametrize(("falls_to", "doubted"), [(0.09, True), (40.0, False)])
+def test_an_effect_that_takes_the_place_of_the_base_is_in_doubt(falls_to: float, doubted: bool) -> None:
+    """The inertia of the file, c6, went to nothing beside an acceleration of another form, which was "sure"."""
+    c6 = ModelParameter(85.0, "kg", path="motion.parameters.c6")
+    (inertia,) = named("acceleration")
+
+    def fit(effects: tuple[Finding, ...]) -> SimpleNamespace:
+        return SimpleNamespace(values={"c6": Value(falls_to, 2.0) if effects else Value(83.0, 3.0)})
+
+    models = SimpleNamespace(features=SimpleNamespace(parameters={"c6": c6}), fit=fit)
+    (told,) = Models.leaning(models, (inertia,), fit((inertia,)))  # type: ignore[arg-type]
+    assert ("beside it c6 of the base falls to hardly anything, from 83.0 to 0.09" in told.doubt) is doubted
+
+
 @dataclass(frozen=True)
 class Formed:
     """A law, as far as `judged` looks at it."""
@@ -393,9 +407,21 @@ def judged_beside_a_law(
 def test_a_base_is_not_called_wrong_by_a_shift_that_may_be_none(shift_sd: float, alone: bool, told: str) -> None:
     """Four runs whose payload grew with each: a right base was 'far from right: c3 +159 %', give or take 169."""
     shift = Recalibrated(parameter="c4", shift=0.9, shift_sd=shift_sd, shift_in_prior_sd=30.0)
-    text = diagnosis._far([shift], 4.0, alone=alone)
+    text = diagnosis._far([shift], 4.0, 10.0, alone=alone)
     assert told in text
     assert bool(text) is bool(told)
+    assert "units" not in text
+
+
+def test_what_moves_the_power_of_a_base_is_told_first() -> None:
+    """A power at rest of 0.05 W for 0.55 W was not told beside a drag of hardly any power, which had moved to twelve
+    times its size."""
+    drag = Recalibrated(parameter="c2", shift=11.0, shift_sd=0.3, shift_in_prior_sd=390.0, power_w=0.005)
+    rest = Recalibrated(parameter="standing", shift=9.0, shift_sd=0.3, shift_in_prior_sd=300.0, power_w=0.02)
+    c3 = Recalibrated(parameter="c3", shift=-0.2, shift_sd=0.01, shift_in_prior_sd=-5.0, power_w=2.0)
+    assert diagnosis._far([drag, rest, c3], 4.0, 6.0, alone=True).endswith("fitted anew: c3 -20 %, standing +900 %")
+    assert "in other units perhaps" in diagnosis._far([drag, rest], 4.0, 6.0, alone=True)
+    assert "in other units perhaps" not in diagnosis._far([c3], 4.0, 6.0, alone=True)
 
 
 @pytest.mark.parametrize(
