@@ -198,7 +198,7 @@ ODDS_NATS = 4.6
 """ln 99: a rival further behind has less than a hundredth of the weight. A name that stands alone should be as sure."""
 SAME_COLUMN = 0.995
 """Columns this much alike away from ramps are one: what then prefers one of them is noise."""
-NOISY_SLOPE = 1.5
+NOISY_SLOPE = 2.0
 """A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
 APART = 0.5
 """Two powers of which no more than this part is the same in a run differ there by more than noise of a cause."""

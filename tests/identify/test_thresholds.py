@@ -58,7 +58,7 @@ def test_what_is_worth_a_fit_with_a_noise_of_its_own(
 
 @pytest.mark.parametrize(
     ("covariate", "part", "close"),
-    [("payload_kg", 0.10, True), ("payload_kg", 0.14, False), ("slope_rad", 0.16, True), ("slope_rad", 0.20, False)],
+    [("payload_kg", 0.10, True), ("payload_kg", 0.14, False), ("slope_rad", 0.22, True), ("slope_rad", 0.26, False)],
 )
 def test_how_far_behind_a_rival_of_another_covariate_may_be(covariate: str, part: float, close: bool) -> None:
     """Parts of 1000 nats; an inclinometer has noise and a bias of its own."""

@@ -124,7 +124,7 @@ MUTANTS = [
         ("MOST_TRIPLES = 20_000", "MOST_TRIPLES = 0"),
         ("BETWEEN_PART = 0.1", "BETWEEN_PART = 0.0"),
         ("SAME_COLUMN = 0.995", "SAME_COLUMN = 2.0"),
-        ("NOISY_SLOPE = 1.5", "NOISY_SLOPE = 1.0"),
+        ("NOISY_SLOPE = 2.0", "NOISY_SLOPE = 1.0"),
         ("RIVAL_PART = 0.5", "RIVAL_PART = 1e9"),
         ("EXTRA_EFFECT_NATS = 4.0", "EXTRA_EFFECT_NATS = 1e9"),
         ("BESIDE_RUN_LEVEL = 0.005", "BESIDE_RUN_LEVEL = 1.0"),
