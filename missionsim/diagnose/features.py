@@ -93,17 +93,18 @@ def make_features(
     there = {term.effect.id for term in model.of(battery)}
     held = {term.effect.id for term in model.of(battery) if not term.base}
     held |= {family for id in held if (family := id.partition(":")[0]) in FLOORS}
+    measured_w, remarks, watts = ready.measured_w(), ready.remarks, []
     if (column := f"voltage_{battery}_v") in names:
         volts = np.concatenate([np.asarray(cov[column], dtype=float) for cov in covariates])
         if float(np.std(volts)) < STEADY * abs(float(np.mean(volts))):
-            held.add("battery_resistance")  # the same as conversion_loss there
+            held.add("battery_resistance")
+            remarks.append(f"{column} hardly changes: what a resistance of the battery takes is conversion_loss there")
     if not any({"accel_m_s2", "slope_rad"} & set(term.effect.needs) for term in model.of(battery) if term.base):
         held.add("lost_recuperation")  # a base that knows neither acceleration nor slope takes nothing as given back
     if not there & {"turning_scrub", "skid"}:
         # an interaction enters after its main effect (Nelder 1977, marginality): any load that goes with turning is
         # louder on one floor than on another
         held.add("surface_turning_scrub")
-    measured_w, remarks, watts = ready.measured_w(), ready.remarks, []
     for name in logged_power_columns(names, model.batteries):
         own_w = np.concatenate([np.asarray(cov[name], dtype=float) for cov in covariates])
         both = np.isfinite(own_w) & np.isfinite(measured_w)

@@ -189,6 +189,8 @@ def test_a_steady_voltage_does_not_tell_two_losses_apart(model: PowerModel, spre
         drive(seed, seconds=60.0, voltage_robot_v=12.0 + 12.0 * spread * np.tile([-1.0, 1.0], 30)) for seed in (1, 2)
     ]
     assert ("battery_resistance" in effects_of(model, *runs)) is apart
+    told = "voltage_robot_v hardly changes: what a resistance of the battery takes is conversion_loss there"
+    assert (told in make_features(model, runs, "robot").remarks) is not apart
 
 
 @pytest.mark.parametrize(("r", "load"), [(0.9985, True), (0.9993, False)])
