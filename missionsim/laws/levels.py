@@ -14,7 +14,7 @@ from missionsim.physics import Array
 
 LEAST_LEVEL = 0.05
 """Less than this part of the highest level is none."""
-ALIKE = 0.99
+ALIKE = 0.95
 """From this part of it on every level is the highest, and there are none."""
 TRIED = 5
 """Quantities, best by least squares, whose levels are tried beside those of the best law."""
