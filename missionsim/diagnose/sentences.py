@@ -309,9 +309,14 @@ def next_step(battery: BatteryDiagnosis, asked: Asked, several: bool = False) ->
         return asked.typed("improve", *options)
     if told:
         return asked.typed("add-effect", "--effect", shlex.quote(told[0].effect), *options)
-    if not battery.effects and law is not None and not law.open:
+    if law is not None and not law.open:
+        if battery.effects:  # that these data cannot tell apart: the law goes in beside them
+            return asked.typed("improve", *options)
         return asked.typed("add-effect", f'--formula "{law.first.formula}"', *options)
-    if battery.effects or law is not None or not errors(battery):
+    if battery.effects or law is not None:
+        bars = bars_of(battery.heldout) if battery.heldout is not None else []
+        return asked.refit(battery.battery, several) if bars and clearly_better(bars[1], bars[0]) else ""
+    if not errors(battery):
         return ""
     if battery.meter:
         return asked.typed("improve", *options)

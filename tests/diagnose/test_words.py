@@ -343,6 +343,18 @@ def test_several_effects_go_in_together_and_options_stay() -> None:
     assert "add-effect" in sentences.next_step(replace(BATTERY, proposed_laws=(law,)), asked)
 
 
+def test_beside_effects_that_cannot_be_told_apart_there_is_a_command_too() -> None:
+    """A law went in with `improve`, 22.9 to 6.5 W, and `diagnose` had no command; for a base 5 % low neither."""
+    asked = sentences.Asked("own.yaml", ["logs"])
+    unsure = replace(BATTERY, effects=(replace(GRADE, indistinguishable_from=("payload",)),), heldout=None)
+    assert sentences.next_step(unsure, asked) == ""
+    law = SimpleNamespace(open=False, heldout_energy_pct=None, heldout_rmse_w=None)
+    assert sentences.next_step(replace(unsure, proposed_laws=(law,)), asked).startswith("missionsim improve")
+    energy = {"nominal": 5.7, "recalibrated": 0.7, "with_effects": 0.7}
+    held = HeldOut("the last", ("e",), energy, {"nominal": 14.7, "recalibrated": 7.1, "with_effects": 7.0})
+    assert sentences.next_step(replace(unsure, heldout=held), asked).startswith("missionsim calibrate")
+
+
 def test_a_battery_is_named_where_there_are_several() -> None:
     assert "Battery" not in words.headline(replace(BATTERY, effects=(GRADE, PAYLOAD)))
     assert words.headline(BATTERY, several=True).startswith("Battery robot: Climbing costs")
