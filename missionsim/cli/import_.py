@@ -13,10 +13,12 @@ from missionsim.files import fields_of, write_text
 from missionsim.importer import roles
 from missionsim.importer.mapping import import_long, import_source, provenance
 from missionsim.importer.roles import folded, guess_all
+from missionsim.importer.run_table import table_path
 from missionsim.importer.sources import find_files
 from missionsim.importer.suggest import suggest_map
 from missionsim.inputs import load_robot
 from missionsim.inputs.loading import load_map
+from missionsim.inputs.log_map import MapSpec
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, describe
 from missionsim.logs.blocks import LongRun, write_log
@@ -88,16 +90,25 @@ def import_(
     if strict and (faulty := [r.fault(log.source) for log in logs for r in log.remarks if _lost(r)]):
         raise InputError(faulty)
     targets = _targets(logs, out)
-    read = {Path(log.source).resolve() for log in logs if log.source}
-    if faults := [  # a folder of Parquet files that is read into itself
-        Fault("", 0, 0, "--out would overwrite a file that is imported", "", str(target), "another folder")
-        for target in targets
-        if target.resolve() in read
-    ]:
-        raise InputError(faults)
+    _protect(targets, {Path(log.source) for log in logs if log.source}, spec, to)
     for log, target in zip(logs, targets, strict=True):
         write_log(log, target, provenance(log, spec))
     return _told(logs, targets, left_out, sources, map_, to)
+
+
+def _protect(targets: Sequence[Path], read: set[Path], spec: MapSpec, to: Output) -> None:
+    """Refuse to write over a log that was read, as in a folder that is read into itself, or over the table of its runs.
+    Raises InputError: with every such path."""
+    tables = {table for path in read if (table := table_path(spec, path)) is not None}
+    outputs = [("--out", target) for target in targets]
+    outputs += [("--json", Path(to.json))] if to.json not in (None, "-") else []
+    faults = []
+    for name, path in outputs:
+        if path.exists() and any(path.samefile(one) for one in read | tables if one.exists()):
+            told = f"{name} would overwrite a file that is imported"
+            faults.append(Fault("", 0, 0, told, "", str(path), "another folder or name"))
+    if faults:
+        raise InputError(faults)
 
 
 def _told(

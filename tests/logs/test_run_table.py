@@ -164,3 +164,14 @@ def test_a_suggested_map_takes_the_table(tmp_path: Path) -> None:
     assert [told(log) for log in logs] == [("tile", 0.0, 21.5), ("carpet", 2.5, 19.0), ("tile", 5.0, 20.0)]
     assert {"driver", "tyre_pressure_bar"} <= logs[0].columns.keys()
     assert not any("mean" in name or name == "date" for name in logs[0].columns)  # results, and what is no cause
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_the_table_is_not_overwritten(tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = published(tmp_path)
+    before = (tmp_path / "runs.csv").read_text()
+    out = ["--out", str(tmp_path / "runs.csv")] if option == "--out" else ["--out", str(tmp_path / "new.csv")]
+    out += ["--json", str(tmp_path / "runs.csv")] if option == "--json" else []
+    assert main(["import", str(logs / "run_01.csv"), "--map", str(tmp_path / "map.yaml"), *out]) == 2
+    assert f"{option} would overwrite" in capsys.readouterr().err
+    assert (tmp_path / "runs.csv").read_text() == before
