@@ -26,7 +26,7 @@ WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words
 """How loggers call things: see the file."""
 
 
-_OF_LOGGERS = {"K": 1.0, "cA": 0.01, "kn": 1852 / 3600}
+_OF_LOGGERS = {"K": 1.0, "cA": 0.01, "kn": 1852 / 3600, "Ah": 1.0, "mAh": 1e-3}
 """Units that robot files do not have; pint would be asked for them, which takes half a second to load."""
 
 
@@ -97,7 +97,7 @@ def known_unit(text: str) -> str:
 def _by_pint(text: str) -> str:
     """A unit that is rare (``ft/s``, ``knot``, ``hp``), as it is written; empty where it is none of what logs hold."""
     for dimension in WORDS["units"]:
-        if dimension != "fraction":
+        if dimension not in ("fraction", "charge"):
             try:
                 UNITS[text] = (dimension, _factor(text, dimension))
             except UnitError:

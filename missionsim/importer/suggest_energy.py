@@ -23,6 +23,9 @@ _BACK = (
 _PER_ROW, _TREMBLES = r"\bper (step|row|sample|interval|record|cycle)\b", 20.0
 """Energy of each row by its name; or by values that go up and down by so many times their range in all (assumed)."""
 
+_GROWS = 0.8
+"""Part of the steps of a charge that is drawn which are upwards, at least (assumed): braking gives some back."""
+
 
 def goes_back(guess: Guess) -> bool:
     """Whether a name says that its energy goes back into the battery."""
@@ -87,6 +90,27 @@ def from_counter(draft: Draft) -> list[str]:
         guess, ref = net(draft, guess, "energy", told=True)
         why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
         draft.column("energy_robot_wh", negated(ref) if falls else ref, replace(guess, why=why))
+        return [guess.field]
+    return []
+
+
+def from_charge(draft: Draft, volts: list[Guess]) -> list[str]:
+    """The energy so far by a charge that is drawn, times the mean voltage at which it was."""
+    for guess in [one for one in draft.best("charge") if not goes_back(one)][:1]:
+        level = next((one for one in volts if not re.search(r"\bcells?\b", words_of(one.field)[0])), None)
+        charge = draft.values(guess.field, guess.unit)
+        if level is None or not draft.direct:
+            return []
+        at = draft.values(level.field, level.unit)
+        known = np.isfinite(charge) & np.isfinite(at)
+        drawn = np.diff(charge[known])
+        if drawn.sum() <= 0 or float(np.mean(drawn[drawn != 0] > 0)) < _GROWS:
+            return []
+        mean = float((drawn * at[known][1:]).sum() / drawn.sum())
+        formula = f"{draft.ref(guess.field, 'charge')} * {size_of(guess.unit) * mean:.5g}"
+        why = f"the charge times the mean voltage, {mean:.4g} V; this is of other runs another one"
+        draft.column("energy_robot_wh", formula, replace(guess, unit="", sure="a guess", why=why))
+        draft.column("voltage_robot_v", draft.ref(level.field, "volts"), level)
         return [guess.field]
     return []
 

@@ -17,7 +17,20 @@ if TYPE_CHECKING:
 
 _MOST = 12
 """Further columns at most (assumed): each one more is one more that chance may find."""
-_ROLES = ("power", "voltage", "current", "energy", "time", "speed", "x", "y", "heading", "elevation", "distance")
+_ROLES = (
+    "power",
+    "voltage",
+    "current",
+    "energy",
+    "charge",
+    "time",
+    "speed",
+    "x",
+    "y",
+    "heading",
+    "elevation",
+    "distance",
+)
 """What tells the power again, or where and when it was."""
 _NO_CAUSE = re.compile(
     r"\b(soc|charge|charging|percent\w*|battery|batt?|capacity|seq\w*|index|ids?|count\w*|frame|row|nr|no|lat\w*|lon\w*"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.importer.roles import UNITS, Guess, folded, words_of
-from missionsim.importer.suggest_energy import from_counter, goes_back, negated, net, sum_of_cells
+from missionsim.importer.suggest_energy import from_charge, from_counter, goes_back, negated, net, sum_of_cells
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -49,13 +49,16 @@ def suggest(draft: Draft) -> None:
     elif pair is not None and (re.search(_WHOLE, words_of(pair[1].field)[0]) or not _drivers(draft)):
         sources = _from_pair(draft, *pair)
     else:
-        sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft)
+        sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
     if not sources:
         message = "no column looks like power, or voltage and current: write one in the place of POWER"
         gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
         back = [guess.field for role in ("power", "energy") for guess in draft.best(role) if goes_back(guess)]
         if back:
             message += f" ('{back[0]}' is what goes back into the battery)"
+        elif charge := draft.best("charge"):
+            why = ", no energy" if volts else ": without a voltage there is no energy in it"
+            message += f" ('{charge[0].field}' is a charge{why})"
         elif name := next((name for name in draft.fields if re.search(gauge, words_of(name)[0])), ""):
             message += f" ('{name}' is a gauge: there are no watts in it)"
         draft.missing.append(message)

@@ -307,3 +307,20 @@ def test_decimal_commas_beside_a_cell_without_a_number(tmp_path: Path) -> None:
     log = suggested(tmp_path, tmp_path / "a.csv")
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
     assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_ah"), [("consumed_mAh", 1000.0), ("consumed_Ah", 1.0), ("current_consumed", 1.0)]
+)
+def test_a_charge_is_no_energy(tmp_path: Path, name: str, per_ah: float) -> None:
+    watts = loggers.power(T)
+    volts = 25.0 - watts / 50
+    charge = per_ah * np.cumsum(watts / volts) * 0.1 / 3600
+    path = write(tmp_path / "a.csv", f"t,speed_m_s,{name},voltage_V", T.round(1), loggers.speed(T), charge, volts)
+    if name == "current_consumed":  # nothing says of what
+        assert "consumed" not in map_of(path, 1).partition("columns:")[2].partition("# not used")[0]
+        return
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert "# a guess: the charge times the mean voltage" in map_of(path)
+    path = write(tmp_path / "b.csv", f"t,speed_m_s,{name}", T.round(1), loggers.speed(T), charge)
+    assert f"('{name}' is a charge: without a voltage there is no energy in it)" in map_of(path, 1)
