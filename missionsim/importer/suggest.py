@@ -23,7 +23,7 @@ from missionsim.importer.suggest_runs import join_runs, one_row_a_run, recognise
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of
-from missionsim.logs.times import date_and_clock
+from missionsim.logs.times import date_and_clock, is_fine
 from missionsim.physics import Array
 
 _MOST_ROWS = 200_000
@@ -64,7 +64,9 @@ class Draft:
 
     def best(self, role: str, least: float = 0.3) -> list[Guess]:
         """The guesses for a role, best first, also of fields that another role fits better."""
-        used = {guess.field for _, guess in self.columns.values()} | set(self.signals.values())
+        used = {name for _, guess in self.columns.values() for name in guess.field.split("\n")} | set(
+            self.signals.values()
+        )
         guesses = [guess_role(one, ROLES[role]) for one in self.fields.values() if one.name not in used]
         found = [guess for guess in guesses if guess is not None and guess.score > least]
         return sorted(found, key=lambda guess: (-guess.score, len(guess.field)))
@@ -155,7 +157,9 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     suggest_power.suggest(draft)
     suggest_motion.suggest(draft)
     if draft.direct:
-        draft.head |= recognised_runs(draft.fields, draft.time_s, {draft.columns["time_s"][1].field})
+        times = {*draft.columns["time_s"][1].field.split("\n")}
+        times |= {name for pair in _seconds_and_nanoseconds(draft.fields) for name in pair}
+        draft.head |= recognised_runs(draft.fields, draft.time_s, times)
         if table is None and (by := re.match(r"\{by: \[(\w+)\]", draft.head.get("runs", ""))):
             apart = next(one.values for name, one in draft.fields.items() if identifier(name) == by[1])
             table = table_of_runs(paths, list(dict.fromkeys(keys_of(apart))))
@@ -164,7 +168,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     suggest_motion.suggest_others(draft)
     suggest_further.suggest(draft)
     draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
-    used = {guess.field for _, guess in draft.columns.values()}
+    used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")}
     return Suggestion(
         _text(draft, joined or [paths[0]], used),
         {name: guess for name, (_, guess) in draft.columns.items()},
@@ -248,8 +252,15 @@ def _time(draft: Draft, path: Path) -> None:
     texts = [guess for guess in found if isinstance(draft.fields[guess.field].values, Labels)]
     if texts and not re.search(r"\d{4}", draft.fields[texts[0].field].range()):  # an epoch says more than a time of day
         found.sort(key=lambda guess: "an epoch" not in guess.why or guess.score < 1.2)
+    pairs = _seconds_and_nanoseconds(draft.fields)
+    fine = next((pair for pair in pairs if _distinct(draft.fields[pair[1]].values) > 0.5), ())
     raw = RawTable(str(path), {one.name: one.values for one in draft.fields.values()})
-    if found and found[0] not in texts:
+    if fine and not texts and (not found or found[0].field in fine):
+        names, formula = list(fine), ""
+        guess = Guess("time", "\n".join(names), "", 2.0, "seconds and nanoseconds", "sure")
+        refs = [draft.ref(name, alias) for name, alias in zip(names, ("secs", "nsecs"), strict=True)]
+        draft.columns["time_s"] = (f"{{stamp: [{', '.join(refs)}]}}", guess)
+    elif found and found[0] not in texts:
         guess = found[0]
         names, formula = [guess.field], draft.ref(guess.field, "t")
     elif texts:
@@ -299,8 +310,23 @@ def _time(draft: Draft, path: Path) -> None:
         words = "" if stamps.kind == "own" else f", {stamps.form}"
         draft.column("time_s", formula, replace(guess, why=guess.why + words))
     else:
-        told = Guess("time", guess.field, "", 2.0, stamps.form, "sure")
+        told = replace(guess, why=f"{guess.why}, {stamps.form}" if guess.field == "\n".join(fine) else stamps.form)
         draft.columns["time_s"] = (draft.columns["time_s"][0], told)
+
+
+_SECONDS, _NANOSECONDS = r"(?i)(?<![a-z])s(ec(ond)?s?)?\Z", r"(?i)(?<![a-z])n(ano)?s(ec(ond)?s?)?\Z"
+
+
+def _seconds_and_nanoseconds(fields: Mapping[str, Field]) -> list[tuple[str, str]]:
+    """Columns that are one time together: their names are alike but for the unit."""
+    fine = [name for name in fields if re.search(_NANOSECONDS, name)]
+    return [
+        (name, other)
+        for name in fields
+        for other in fine
+        if re.search(_SECONDS, name) and re.sub(_SECONDS, "", name) == re.sub(_NANOSECONDS, "", other)
+        if is_fine(fields[name].values, fields[other].values)
+    ]
 
 
 def _is_clock(values: Array) -> bool:

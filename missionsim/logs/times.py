@@ -113,13 +113,15 @@ def _in_numbers(text: str) -> str:
 
 
 def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = None, local: bool = False) -> Stamps:
-    """Times of one column, or of a date and a time of day in two.
+    """Times of one column; of a date and a time of day in two; or of whole seconds and nanoseconds.
 
     `parts` (shape (n,)): numbers (an epoch by their size, else seconds of the logger's own) or texts; `name`: for
     remarks; `zone`: zone of local times, such as ``Europe/Berlin`` or ``+02:00``; `local`: whether numbers since 1970
     are wall time of a zone that is not known. Raises TimeError: texts that are no time stamps; local times that do not
     say which of two hours they are in.
     """
+    if len(parts) == 2 and is_fine(*parts):
+        parts = [np.asarray(parts[0]) + 1e-9 * np.asarray(parts[1])]
     found = [numbers_as_times(part) if not isinstance(part, Labels) else _texts(part, zone) for part in parts]
     whole = found[0]
     if whole.form == HOURS_MINUTES and len(parts) == 1:
@@ -152,6 +154,16 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
             told, severity = f"{told}, which says the year {year}: another unit, or another zero?", "warning"
         whole.remarks.insert(0, Remark("clock", name, told, "read as seconds", severity))
     return whole
+
+
+def is_fine(whole: Array | Labels, nano: Array | Labels) -> bool:
+    """Whether numbers are whole seconds, and others their nanoseconds, as ROS keeps a time."""
+    if isinstance(whole, Labels) or isinstance(nano, Labels):
+        return False
+    known = np.isfinite(whole) & np.isfinite(nano)
+    seconds, rest = whole[known], nano[known]
+    whole_numbers = not (seconds % 1).any() and not (rest % 1).any()
+    return len(rest) > 0 and whole_numbers and float(rest.min()) >= 0 and float(rest.max()) < 1e9
 
 
 def _told_apart(whole: Stamps, texts: Array | Labels, name: str) -> None:

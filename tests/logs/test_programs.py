@@ -324,3 +324,24 @@ def test_a_charge_is_no_energy(tmp_path: Path, name: str, per_ah: float) -> None
     assert "# a guess: the charge times the mean voltage" in map_of(path)
     path = write(tmp_path / "b.csv", f"t,speed_m_s,{name}", T.round(1), loggers.speed(T), charge)
     assert f"('{name}' is a charge: without a voltage there is no energy in it)" in map_of(path, 1)
+
+
+@pytest.mark.parametrize("step", [0.2, 0.01])
+@pytest.mark.parametrize(
+    "names",
+    [
+        "sec,nanosec",
+        "secs,nsecs",
+        "header.stamp.secs,header.stamp.nsecs",
+        "field.header.stamp.sec,field.header.stamp.nanosec",
+        "stamp_sec,stamp_nanosec",
+    ],
+)
+def test_seconds_and_nanoseconds_are_one_time(tmp_path: Path, names: str, step: float) -> None:
+    time = 1748959510 + step * np.arange(1000)
+    nano = ((time % 1) / step).round().astype(int) * round(step * 1e9) % 10**9
+    columns = (np.floor(time + 1e-6).astype(int), nano, loggers.speed(time % 300), loggers.power(time % 300))
+    log = suggested(tmp_path, write(tmp_path / "a.csv", f"{names},speed_m_s,power_W", *columns))
+    assert log.rows == (1000 if step > 0.1 else 100)  # means of fast rows
+    assert log.time_s[-1] == pytest.approx(1000 * step, abs=2 * max(step, 0.1))
+    assert not [name for name in log.columns if "n" in name.partition("_")[2] or name.startswith("n")]

@@ -169,3 +169,12 @@ def test_days_or_seconds_are_asked_for() -> None:
         read_stamps([45619.5 + np.arange(50) / 8640.0], "t")
     seconds = 45619.5 + 0.001 * np.arange(50)  # of a clock, at 1 kHz
     assert read_stamps([seconds], "t").kind == "own"
+
+
+def test_seconds_and_nanoseconds() -> None:
+    seconds, nano = np.array([1748959510.0, 1748959510.0, 1748959511.0, np.nan]), np.array([0.0, 999999999.0, 5e8, 1.0])
+    assert read_stamps([seconds, nano], "t").seconds[:3] - 1748959510 == pytest.approx([0.0, 1.0, 1.5], abs=1e-6)
+    assert np.isnan(read_stamps([seconds, nano], "t").seconds[3])
+    for other in (nano - 1, nano + 0.5, 2 * nano):
+        with pytest.raises(TimeError, match="a date and a time of day"):
+            read_stamps([seconds, other], "t")
