@@ -169,6 +169,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     suggest_further.suggest(draft)
     draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
     used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")}
+    used |= set(re.findall(r"\w+", " ".join(draft.let.values())))
     return Suggestion(
         _text(draft, joined or [paths[0]], used),
         {name: guess for name, (_, guess) in draft.columns.items()},

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import UNITS, Guess, folded, words_of
+from missionsim.importer.roles import ROLES, UNITS, Field, Guess, folded, words_of
 from missionsim.importer.suggest_energy import from_charge, from_counter, goes_back, negated, net, sum_of_cells
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _PART = (
     r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health"
-    r"|mech\w*|rated|nominal|peak)\b"
+    r"|mech\w*|mecan\w*|shaft|wellen?\w*|arbre|rated|nominale?|nenn\w*|peak)\b"
 )
 _ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
 _WHOLE, _NO_CURRENT = (
@@ -29,6 +29,9 @@ _WHOLE, _NO_CURRENT = (
     r"\b(limit|max|min|target|set ?point)\b",
 )
 """A meter of all that a battery feeds; what is called a current and is none."""
+_SIDE = r"\b(left|right|front|rear|fl|fr|rl|rr|l|r|links|rechts|gauche|droite)\b"
+_BY_GLOSSARY, _OF_A_PART = 3.0, 1.3
+"""Score of a name of the glossary, and how much less it is where it names no battery or total: another one may."""
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
 
@@ -37,7 +40,8 @@ def suggest(draft: Draft) -> None:
     power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
     power = [guess for guess in power if not goes_back(guess)]
-    power.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")
+    power.sort(key=lambda guess: (folded(draft.fields[guess.field]) == "constant", -_as_a_whole(guess)))
+    power = _all_sides(draft, power)
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     if not power and amps:
@@ -50,6 +54,8 @@ def suggest(draft: Draft) -> None:
         sources = _from_pair(draft, *pair)
     else:
         sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
+    if "sides_w" in draft.let and not any(guess.field == "sides_w" for _, guess in draft.columns.values()):
+        del draft.let["sides_w"], draft.fields["sides_w"]
     if not sources:
         message = "no column looks like power, or voltage and current: write one in the place of POWER"
         gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
@@ -73,6 +79,33 @@ def suggest(draft: Draft) -> None:
         draft.remarks.append(
             f"a battery too, perhaps: {told}; voltage_<its name>_v and current_<its name>_a would take it"
         )
+
+
+def _as_a_whole(guess: Guess) -> float:
+    """The score of a power, less for one that only the glossary's pattern makes sure: ``power_left_w`` is a part."""
+    part = guess.score >= _BY_GLOSSARY and not re.search(ROLES["power"].prefer, words_of(guess.field)[0])
+    return guess.score - _OF_A_PART * part
+
+
+def _all_sides(draft: Draft, power: list[Guess]) -> list[Guess]:
+    """Powers, the first of which is the sum of the sides where only sides are logged; one of several that have a name
+    of the glossary, and name no battery or total, is a guess."""
+    if not power or re.search(ROLES["power"].prefer, words_of(power[0].field)[0]):
+        return power
+    first, pattern = power[0], re.sub(_SIDE, "#", words_of(power[0].field)[0])
+    alike = [one for one in power if re.sub(_SIDE, "#", words_of(one.field)[0]) == pattern and one.unit == first.unit]
+    if draft.direct and "#" in pattern and len(alike) > 1:
+        alike.sort(key=lambda one: list(draft.fields).index(one.field))
+        draft.let["sides_w"] = " + ".join(draft.ref(one.field, f"side_{i}") for i, one in enumerate(alike, 1))
+        total = np.sum([draft.values(one.field) for one in alike], axis=0)
+        draft.fields["sides_w"] = Field("sides_w", len(total), total)
+        why = f"the sum of {', '.join(one.field for one in alike)}; what the battery feeds beside them is not in it"
+        return [replace(first, field="sides_w", sure="a guess", score=1.0, why=why), *power]
+    others = [one.field for one in power[1:] if one.score >= _BY_GLOSSARY]
+    if first.score >= _BY_GLOSSARY and others:
+        why = f"{first.why}; there are others: {', '.join(others)}"
+        return [replace(first, sure="a guess", why=why), *power[1:]]
+    return power
 
 
 _AMPERES_A_VOLT = 4.0

@@ -345,3 +345,46 @@ def test_seconds_and_nanoseconds_are_one_time(tmp_path: Path, names: str, step: 
     assert log.rows == (1000 if step > 0.1 else 100)  # means of fast rows
     assert log.time_s[-1] == pytest.approx(1000 * step, abs=2 * max(step, 0.1))
     assert not [name for name in log.columns if "n" in name.partition("_")[2] or name.startswith("n")]
+
+
+W, SMALL = loggers.power(T), 0.1 * loggers.power(T)
+
+
+@pytest.mark.parametrize(
+    ("head", "columns", "sure"),
+    [
+        ("power_left_w,power_right_w,power_total_w", (SMALL, SMALL, W), "sure"),
+        ("power_fl_w,power_fr_w,power_rl_w,power_rr_w,power_total_w", (SMALL, SMALL, SMALL, SMALL, W), "sure"),
+        ("power_arm_w,power_base_w,power_total_w", (SMALL, 0.9 * W, W), "sure"),
+        ("power_left_w,power_right_w", (0.4 * W, 0.6 * W), "a guess"),
+        ("Power left [W],Power right [W]", (0.4 * W, 0.6 * W), "a guess"),
+        ("power_fl_w,power_fr_w,power_rl_w,power_rr_w", (0.1 * W, 0.2 * W, 0.3 * W, 0.4 * W), "a guess"),
+        ("power_arm_w,power_robot_w", (SMALL, W), "sure"),
+        ("Sollleistung [W],mech. Leistung [W],Batterieleistung [W]", (1.5 * W, SMALL, W), "sure"),
+        ("puissance consigne [W],puissance mécanique [W],puissance batterie [W]", (1.5 * W, SMALL, W), "sure"),
+        ("Wellenleistung [W],Batterieleistung [W]", (SMALL, W), "sure"),
+        ("puissance arbre [W],puissance totale [W]", (SMALL, W), "sure"),
+        ("Wellenleistung [W],Leistung [W]", (SMALL, W), "sure"),
+        ("power_shaft_w,power_w", (SMALL, W), "sure"),
+    ],
+)  # fmt: skip
+def test_the_power_of_the_battery_among_others(
+    tmp_path: Path, head: str, columns: tuple[np.ndarray, ...], sure: str
+) -> None:
+    path = write(tmp_path / "a.csv", f"time_s,speed_m_s,{head}", T, loggers.speed(T), *columns)
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    line = next(line for line in map_of(path).splitlines() if line.startswith("  power_robot_w:"))
+    assert f"# {sure}: " in line
+
+
+@pytest.mark.parametrize("head", ["power_arm_w,power_base_w", "power_1_w,power_2_w"])
+def test_one_of_several_powers_is_never_sure(tmp_path: Path, head: str) -> None:
+    path = write(tmp_path / "a.csv", f"time_s,speed_m_s,{head}", T, loggers.speed(T), 0.4 * W, 0.6 * W)
+    assert "# a guess: a name of the glossary; there are others: " in map_of(path)
+
+
+def test_sides_beside_a_battery_that_says_otherwise(tmp_path: Path) -> None:
+    head = "time_s,speed_m_s,power_left_w,power_right_w,voltage_V,current_A"
+    path = write(tmp_path / "a.csv", head, T, loggers.speed(T), 0.2 * W, 0.3 * W, 24 + 0 * T, W / 24)
+    assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert "sides_w:" not in map_of(path)
