@@ -16,9 +16,15 @@ _CODES = np.unique([
     2.0**31 - 1, -(2.0**31), 2.0**32 - 1,
 ])  # fmt: skip
 """Nines, and the ends of whole numbers, also scaled."""
+_POINTED = (99.99, 999.9, 999.99, 9999.9)
+_RARE = np.array([255.0, *_POINTED, *(-code for code in _POINTED)])
+"""Codes that may as well be measured: nines with a point, and the end of a byte. They must be further off."""
+_ALL = np.concatenate([_CODES, _RARE])
+_ALIKE = 1e-7
+"""Relative: numbers of four bytes miss a code by this at most."""
 _FEW, _FAR, _LONE = 8, 0.5, 10.0
 """Values that a column has beside its codes, else it may be a count; times their range that a code lies beside them,
-and one that stands there once (all assumed)."""
+and one that stands there once, or is rare (all assumed)."""
 _LASTS, _JUMPS = 2, 5.0
 """Rows that a code of -1, which lies near what is measured, lasts at most, and times the usual step of the others that
 it jumps by (both assumed)."""
@@ -78,10 +84,10 @@ class Tally:
         rest = rest[rest != -1.0] if ones.any() else rest
         while len(rest):
             ends = np.array([rest.min(), rest.max()])
-            codes = _CODES[np.isclose(ends[:, None], _CODES, rtol=1e-9).any(axis=0)]
+            codes = _ALL[_is(ends[:, None], _ALL).any(axis=0)]
             for code in codes:
-                self._meet(float(code), np.isclose(data, code, rtol=1e-9))
-                rest = rest[~np.isclose(rest, code, rtol=1e-9)]
+                self._meet(float(code), _is(data, code))
+                rest = rest[~_is(rest, code)]
             if not len(codes):
                 self._measured(rest)
                 break
@@ -138,10 +144,16 @@ class Tally:
             return True
         if code == -1.0:
             return 2 < seen.count <= _LASTS * seen.times and _jumps_far(self.jumps, self.steps)
-        if code not in _CODES:
+        if code not in _ALL:
             return False
         far = max(self.low - code, code - self.high)
-        return far > (self.high - self.low) * (_FAR if seen.count > 1 else _LONE) and 2 * seen.count < self.rows
+        often = seen.count > 1 and code in _CODES
+        return far > (self.high - self.low) * (_FAR if often else _LONE) and 2 * seen.count < self.rows
+
+
+def _is(data: Array, code: Array | float) -> NDArray[np.bool_]:
+    """Where numbers are a code, up to how they are kept."""
+    return np.isclose(data, code, rtol=_ALIKE, atol=0.0)
 
 
 def _jumps_far(jumps: list[Array], steps: list[Array]) -> bool:
@@ -153,7 +165,7 @@ def _jumps_far(jumps: list[Array], steps: list[Array]) -> bool:
 def without(data: Array, found: Found) -> Array:
     """A column with its codes as NaN; the same array where it has none."""
     for code, _, _ in found:
-        data = np.where(np.isclose(data, code, rtol=1e-9), np.nan, data)
+        data = np.where(_is(data, code), np.nan, data)
     return data
 
 

@@ -126,3 +126,26 @@ def test_bags(tmp_path: Path) -> None:
     assert "power_robot_w: watts " in made.text  # its sign is not turned by the codes
     (said,) = [r for r in log.remarks if "exactly -9999" in r.message]
     assert said.column == "/power.data"
+
+
+@pytest.mark.parametrize("code", [255.0, 99.99, 999.9, 999.99, 9999.9, -999.9, float(np.float32(999.9))])
+@pytest.mark.parametrize("rows", ["few", "one", "a stretch"])
+def test_nines_with_a_point_and_the_end_of_a_byte(code: float, rows: str) -> None:
+    lost = {"few": LOST, "one": np.arange(N) == 700, "a stretch": (np.arange(N) > 700) & (np.arange(N) < 900)}[rows]
+    volts = 24.0 + RNG.normal(0, 0.3, N).round(2)
+    kept, found = without_codes(np.where(lost, code, volts))
+    assert [count for _, count, _ in found] == [lost.sum()]
+    assert np.isnan(kept).sum() == lost.sum()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.where(LOST, 255.0, RNG.integers(0, 100, N)),  # a byte that goes to its end
+        np.where(LOST, 99.99, 30 * SPEED),  # a load
+        np.where(np.arange(N) == 700, 255.0, ROUGH_W),  # an inrush
+        np.where(LOST, 999.9, 40.0 + 100.0 * (SPEED > 0.5) + SPEED),
+    ],
+)
+def test_those_near_what_is_measured_stay(values: np.ndarray) -> None:
+    assert without_codes(values)[1] == []
