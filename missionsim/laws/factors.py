@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence, Set
 from functools import cache, lru_cache, partial
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from missionsim.runs.covariates import COVARIATES, may_be_cause
 MOST_LEVELS = 6
 MOST_FURTHER = 6
 """Columns beyond the glossary that enter; more would make chance finds of any share."""
+MOST_WARM = 4
+"""Temperatures whose differences enter."""
 LAGS_S = (3.0, 5.0, 8.0, 13.0, 20.0, 30.0, 50.0, 80.0, 130.0)
 WARM_S = (30.0, 120.0)
 TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
@@ -244,6 +247,9 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
             further += 1
             if further <= MOST_FURTHER:
                 (b.about_thresholds if TEMPERATURE.search(name) else partial(_further, b))(name)
+    warm = [name for name in names if name.isidentifier() and TEMPERATURE.search(name) and name not in skip][:MOST_WARM]
+    for name, other in permutations(warm, 2):  # what heats or cools works against a difference
+        b.add(name, f"max({name} - {other}, 0)", f"({name} − {other})₊", 2)
     return Grammar(tuple(b.factors), tuple(b.values))
 
 
@@ -319,6 +325,9 @@ def _further(b: _Builder, name: str) -> None:
     # an actuator takes power while it moves, not where it stands: a steering, an arm, a mast, which lifts one way
     rate = f"({name} - lag({name}, {RATE_S:g})) / {RATE_S:g}"
     b.add(name, f"abs({rate})", f"|d{name}/dt|", 2, alone=True)
+    if b.has("speed_m_s"):  # as wheels that are steered on the spot
+        still = f"(abs(speed_m_s) < {STILL_SPEED_M_S:g})"
+        b.add(name, f"abs({rate}) * {still}", f"|d{name}/dt|·[still]", 2, alone=True)
     b.add(name, f"max({rate}, 0)", f"(d{name}/dt)₊", 2, alone=True)
     if b.has("payload_kg"):
         b.add(name, f"payload_kg * max({rate}, 0)", f"m_payload·(d{name}/dt)₊", 2, alone=True)

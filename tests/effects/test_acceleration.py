@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from missionsim.effects.covariates import acceleration, between_refreshes, speed_noise
+from missionsim.effects.covariates import acceleration, between_refreshes, is_moving, speed_noise
 
 STEP_S = 0.2
 
@@ -87,3 +87,10 @@ def test_a_speed_that_jumps_between_long_cruises_is_no_slower_topic() -> None:
     time_s = np.arange(0.0, 400.0, STEP_S)
     speed = np.where(time_s // 20.0 % 2.0, 1.0, 0.5)
     assert between_refreshes(speed, time_s) is speed
+
+
+@pytest.mark.parametrize(("wheel_m_s", "moves"), [(0.012, False), (0.06, True)])
+def test_noise_of_a_wheel_is_no_drive(wheel_m_s: float, moves: bool) -> None:
+    """3 mm/s of it made a tenth of the rows at rest a drive, and a law of moving of 10 % of the energy."""
+    cov = {"speed_m_s": np.zeros(3), "yaw_rate_rad_s": np.zeros(3), "wheel_speed_m_s": np.full(3, wheel_m_s)}
+    assert np.asarray(is_moving(cov)).tolist() == [moves] * 3
