@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from missionsim.diagnose.split import Split
 from missionsim.identify.findings import BatteryDiagnosis
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
-from missionsim.laws import levels as by_floor
 from missionsim.laws.adapter import ground_of
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.levels import by_levels
@@ -81,20 +79,3 @@ def test_what_floors_differ_by_need_not_show_in_what_they_have_in_common() -> No
 def test_floors_that_are_alike_have_no_levels() -> None:
     laws = diagnosed(dict.fromkeys(FLOORS, 5.0)).proposed_laws
     assert not [law for law in laws if "surface" in law.first.formula]
-
-
-@pytest.mark.parametrize(("part", "apart"), [(0.97, False), (0.93, True)])
-def test_levels_that_differ_by_a_few_per_cent_are_none(
-    part: float, apart: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A skid that is the same on every floor was written with 0.97 of itself on carpet."""
-    layout = SimpleNamespace(unit=lambda k: 1.0)
-    model = SimpleNamespace(gram=SimpleNamespace(shares=lambda chosen: np.array([1.0, part])), chosen=(0, 1))
-    ground = SimpleNamespace(
-        chosen=(), extended=lambda rows: SimpleNamespace(phi=rows, layout=layout), at_noise=lambda design, noise: model
-    )
-    monkeypatch.setattr(by_floor, "left_out", lambda *_: SimpleNamespace(with_law=1.0))
-    search = SimpleNamespace(ground=ground, columns=lambda forms: np.ones((len(forms), 4)))
-    fitted = SimpleNamespace(model=SimpleNamespace(noise=None))
-    found = by_floor._with_levels(search, fitted, (0,), [5, 6])  # type: ignore[arg-type]
-    assert (found is not None) is apart
