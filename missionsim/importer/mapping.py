@@ -65,7 +65,7 @@ def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[P
 def _word(data: Any, row: int) -> str:
     if isinstance(data, Labels):
         return data.names[data.codes[row]] if data.codes[row] >= 0 else "none"
-    return f"{data[row]:g}"
+    return f"{data[row]:.15g}"
 
 
 def file_name(text: str) -> str:

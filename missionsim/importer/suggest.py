@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
@@ -77,13 +78,13 @@ class Draft:
 
     def ref(self, name: str, alias: str) -> str:
         """How a formula names a field: itself, or a short name in `signals`."""
-        if self.direct and identifier(name) == name and name not in FUNCTIONS and name != "pi":
+        if self.direct and identifier(name) == name and name not in FUNCTIONS and name != "pi" and not iskeyword(name):
             return name
         for known, there in self.signals.items():
             if there == name:
                 return known
         taken = {identifier(other) for other in self.fields} if self.direct else set()
-        while alias in taken or alias in self.signals or alias in FUNCTIONS:
+        while alias in taken or alias in self.signals or alias in FUNCTIONS or iskeyword(alias):
             alias += "_"
         self.signals[alias] = name
         return alias

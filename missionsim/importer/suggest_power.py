@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _PART = (
     r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health"
-    r"|mech\w*|mecan\w*|shaft|wellen?\w*|arbre|rated|nominale?|nenn\w*|peak)\b"
+    r"|mech\w*|mecan(?!um)\w*|shaft|wellen?\w*|arbre|rated|nominale?|nenn\w*|peak)\b"
 )
 _ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
 _WHOLE, _NO_CURRENT = (

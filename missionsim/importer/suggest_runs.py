@@ -83,9 +83,12 @@ def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path
     words = [one[-1].lstrip("0").encode() for one in names]
     beside = dict.fromkeys(folder for path in paths for folder in (path.resolve().parent, path.resolve().parent.parent))
     for file in (file for folder in beside for file in sorted(folder.glob("*.[ct]sv"))[:_BESIDE]):
-        if file.stat().st_size > _TABLE_BYTES or (len(paths) == 1 and file.samefile(paths[0])):
+        given = file.is_file() and any(file.samefile(path) for path in paths)
+        if not file.is_file() or file.stat().st_size > _TABLE_BYTES or (given and len(paths) == 1):
             continue
         text = file.read_bytes()
+        if given and any(_head(path) == _head(file) for path in paths if path.is_file() and not file.samefile(path)):
+            continue  # one of several logs
         if not any(re.search(rb"\d+\Z", word) or word in text for word in words):
             continue
         try:
@@ -99,11 +102,19 @@ def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path
                 continue
             found = [rows_called(keys, log) for log in logs]
             called = words_of(one.name)[0]
-            named = isinstance(one.values, Labels) or runs or _RUN.search(called) or _NUMBER.search(called)
+            named = isinstance(one.values, Labels) or bool(runs or _RUN.search(called))
+            # of one log, any table has a row of its number
+            named = named or (len(logs) > 1 and _NUMBER.search(called) is not None)
             met = {row for rows in found for row in rows}
             if named and sum(map(bool, found)) > 0.5 * len(logs) and len(met) > (len(logs) > 1):
                 return file, one.name, [other for other in fields if other is not one]
     return None
+
+
+def _head(path: Path) -> bytes:
+    """The first line of a file."""
+    with path.open("rb") as file:
+        return file.readline(1 << 16).strip()
 
 
 def join_runs(draft: Draft, path: Path, key: str, columns: Sequence[Field]) -> None:

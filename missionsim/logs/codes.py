@@ -77,7 +77,7 @@ class Tally:
         """Take the next rows of the column, shape (n,)."""
         if not len(data):
             return
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             whole = np.isfinite(data.sum())
         rest = data if whole else data[np.isfinite(data)]
         ones = data == -1.0
@@ -139,7 +139,9 @@ class Tally:
         return last or any(code != -1.0 or self.below == {code} for code in self.met)
 
     def _is_code(self, code: float, seen: _Met) -> bool:
-        alone = self.below == {code} and self.least > 0.0 and self.least - code > _GRAINS * self.grain
+        # a limit of what is given back is the only value below nought too
+        known = code == -1.0 or code in _ALL
+        alone = known and self.below == {code} and self.least > 0.0 and self.least - code > _GRAINS * self.grain
         if alone and seen.times >= _TIMES and seen.count <= min(_LASTS * self.lasts * seen.times, 0.5 * self.rows):
             return True
         if code == -1.0:

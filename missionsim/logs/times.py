@@ -162,8 +162,11 @@ def is_fine(whole: Array | Labels, nano: Array | Labels) -> bool:
         return False
     known = np.isfinite(whole) & np.isfinite(nano)
     seconds, rest = whole[known], nano[known]
-    whole_numbers = not (seconds % 1).any() and not (rest % 1).any()
-    return len(rest) > 0 and whole_numbers and float(rest.min()) >= 0 and float(rest.max()) < 1e9
+    if not len(rest) or (seconds % 1).any() or (rest % 1).any():
+        return False
+    # neither a date such as 20250314 nor milliseconds
+    epoch = float(seconds.min()) > 5e8 or float(seconds.max()) < 1e7
+    return epoch and float(rest.min()) >= 0.0 and 1e6 < float(rest.max()) < 1e9
 
 
 def _told_apart(whole: Stamps, texts: Array | Labels, name: str) -> None:

@@ -12,6 +12,7 @@ from missionsim.cli.app import run_command as main
 from missionsim.logs import LogTable, read_log
 from missionsim.logs.formats.delimited import read_csv
 from missionsim.logs.readers import Options
+from missionsim.logs.times import is_fine
 from tests.logs import loggers
 
 T = np.arange(0.0, loggers.LENGTH_S, 0.1)
@@ -196,6 +197,8 @@ def test_what_is_no_power_of_the_battery(tmp_path: Path) -> None:
     head = "t,CH1_Voltage_V,CH1_Current_mA,CH2_Voltage_V,CH2_Current_mA"
     text = map_of(write(tmp_path / "d.csv", head, T, 12 - watts / 99, 83 * watts, 5 + T % 3 / 99, 300 + T % 7))
     assert "there are more currents, which were not added: CH2_Current_mA" in text
+    text = map_of(write(tmp_path / "f.csv", "t,mecanum_power_w,v", T, watts, v))
+    assert "power_robot_w: mecanum_power_w" in text  # its wheels, not what is mechanical
 
 
 def test_messages_with_their_topic_before_them(tmp_path: Path) -> None:
@@ -345,6 +348,14 @@ def test_seconds_and_nanoseconds_are_one_time(tmp_path: Path, names: str, step: 
     assert log.rows == (1000 if step > 0.1 else 100)  # means of fast rows
     assert log.time_s[-1] == pytest.approx(1000 * step, abs=2 * max(step, 0.1))
     assert not [name for name in log.columns if "n" in name.partition("_")[2] or name.startswith("n")]
+
+
+@pytest.mark.parametrize(
+    ("whole", "rest", "fine"),
+    [(1.7e9, 2e8, True), (5.0, 9e8, True), (20250314.0, 92133.0, False), (1.7e9, 300.0, False)],
+)
+def test_a_date_or_milliseconds_are_no_seconds_and_nanoseconds(whole: float, rest: float, fine: bool) -> None:
+    assert is_fine(np.array([whole, whole + 1.0]), np.array([0.0, rest])) is fine
 
 
 W, SMALL = loggers.power(T), 0.1 * loggers.power(T)

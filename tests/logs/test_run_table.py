@@ -10,7 +10,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.errors import Fault, InputError
 from missionsim.importer.mapping import import_source
-from missionsim.importer.run_table import rows_called
+from missionsim.importer.run_table import keys_of, rows_called
 from missionsim.importer.sources import find_files
 from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
@@ -73,6 +73,22 @@ def test_how_a_row_names_its_run(tmp_path: Path, keys: tuple[str, ...]) -> None:
 
 def test_numbers_count_from_nought_as_well() -> None:
     assert [rows_called(["0", "1", "10"], [name]) for name in ("run_00", "run_10", "run_1_2")] == [[0], [2], []]
+
+
+def test_numbers_keep_their_digits() -> None:
+    assert keys_of(np.array([20250314.0, 7.0, 1.5])) == ["20250314", "7", "1.5"]
+
+
+def test_another_log_and_a_table_of_something_else_are_no_table_of_runs(tmp_path: Path) -> None:
+    """Of two logs with an index, the first was the table of the second, and left out; gains had a row for log_1."""
+    for name in ("log_1", "log_2"):
+        rows = "".join(f"{i},{0.2 * i:.1f},{20 + i % 7},{0.1 * (i % 9):.1f}\n" for i in range(60))
+        (tmp_path / f"{name}.csv").write_text(f"index,time_s,power_robot_w,speed_m_s\n{rows}", encoding="utf-8")
+    logs = sorted(tmp_path.glob("log_*.csv"))
+    assert "table" not in suggest_map(logs).text
+    (tmp_path / "gains.csv").write_text("id,kp,ki\n1,0.2,0.3\n2,0.5,0.1\n", encoding="utf-8")
+    (tmp_path / "x.csv").mkdir()
+    assert "table" not in suggest_map(logs[:1]).text
 
 
 def test_a_table_in_the_folder_of_the_logs_is_no_log(tmp_path: Path) -> None:
