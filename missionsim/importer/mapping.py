@@ -17,7 +17,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
-from missionsim.importer.run_table import Piece, RunTables, table_path
+from missionsim.importer.run_table import Piece, RunTables, table_path, written
 from missionsim.importer.sources import Source, find_sources, read_source, table_options, with_names
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
@@ -65,7 +65,7 @@ def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[P
 def _word(data: Any, row: int) -> str:
     if isinstance(data, Labels):
         return data.names[data.codes[row]] if data.codes[row] >= 0 else "none"
-    return f"{data[row]:.15g}"
+    return written(data[row])
 
 
 def file_name(text: str) -> str:

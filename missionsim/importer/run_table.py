@@ -24,11 +24,16 @@ _LISTED = 10
 """Keys that a message names."""
 
 
+def written(number: float) -> str:
+    """A number that names a run, with all its digits."""
+    return f"{number:.15g}"
+
+
 def keys_of(data: ColumnData) -> list[str]:
     """What each row of a column calls its run: a path without the suffix of a log; empty where a cell is."""
     if isinstance(data, Labels):
         return [_plain(text) for text in data.texts()]
-    return ["" if np.isnan(number) else f"{number:.15g}" for number in data]
+    return ["" if np.isnan(number) else written(number) for number in data]
 
 
 def _plain(text: str) -> str:
@@ -165,7 +170,7 @@ class RunTables:
 
 
 def _cell(data: ColumnData, row: int) -> str:
-    return str(data[row : row + 1].texts()[0]) if isinstance(data, Labels) else f"{data[row]:.15g}"
+    return str(data[row : row + 1].texts()[0]) if isinstance(data, Labels) else written(data[row])
 
 
 def _places(spec: MapSpec, source: Path) -> Iterator[Path]:

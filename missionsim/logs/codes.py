@@ -169,11 +169,3 @@ def without(data: Array, found: Found) -> Array:
     for code, _, _ in found:
         data = np.where(_is(data, code), np.nan, data)
     return data
-
-
-def without_codes(data: Array) -> tuple[Array, Found]:
-    """A whole column with its codes for no value as NaN; and the codes."""
-    tally = Tally()
-    tally.add(data)
-    found = tally.found()
-    return without(data, found), found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -144,20 +145,15 @@ def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | Non
 def _charged(site: Site, name: str, low: float, high: float) -> float:
     """A capacity between one that is too little and one that will do without charging: the least found that will do
     with it."""
-    robot, calls = site.task.robot, 0
-
-    def watch(_: str, objective: float, bound: float) -> bool:
-        nonlocal calls
-        calls += 1
-        return calls > MOST_CALLS
-
-    battery, least = robot.batteries[name], low
+    robot, least = site.task.robot, low
+    battery = robot.batteries[name]
     while high > CLOSE * low:
         middle = math.sqrt(low * high)
         capacity = replace(battery.capacity, value=battery.capacity.value * middle / least)
         batteries = {**robot.batteries, name: battery.model_copy(update={"capacity": capacity})}
-        calls, task = 0, site.task.model_copy(update={"robot": robot.model_copy(update={"batteries": batteries})})
-        if solve_site(make_site(task), watch, valued=False).feasible:
+        task = site.task.model_copy(update={"robot": robot.model_copy(update={"batteries": batteries})})
+        calls = itertools.count(1)
+        if solve_site(make_site(task), lambda *_, calls=calls: next(calls) > MOST_CALLS, valued=False).feasible:
             high = middle
         else:
             low = middle

@@ -10,7 +10,7 @@ import pytest
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map
 from missionsim.logs import iter_blocks, read_log
-from missionsim.logs.codes import Tally, without_codes
+from missionsim.logs.codes import Found, Tally, without
 from tests.logs.conftest import write_csv
 
 RNG = np.random.default_rng(3)
@@ -21,6 +21,13 @@ ROUGH_W = 6.0 + 30.0 * SPEED**2 + np.where(RNG.random(N) < 0.5, 0.0, 14.0)
 """A meter that jumps from row to row as far as a code lies below it."""
 ENERGY_WH = float(ROUGH_W.sum()) * 0.5 / 3600.0
 LOST = RNG.random(N) < 0.05
+
+
+def without_codes(data: np.ndarray) -> tuple[np.ndarray, Found]:
+    """A whole column with its codes for no value as NaN; and the codes."""
+    tally = Tally()
+    tally.add(data)
+    return without(data, tally.found()), tally.found()
 
 
 def energy_of(folder: Path, power: np.ndarray) -> tuple[float, list[str]]:
