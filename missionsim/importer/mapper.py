@@ -187,7 +187,8 @@ class Mapper(Checker):
         try:
             found = read_stamps(parts, "time_s", column.zone, any(name in self.raw.local for name in names))
         except TimeError as error:
-            raise self._fault(("columns", "time_s"), str(error), ", ".join(map(str, names))) from None
+            at = f" ({self.raw.file}, line {line})" if error.row and (line := self.raw.line(error.row)) else ""
+            raise self._fault(("columns", "time_s"), f"{error}{at}", ", ".join(map(str, names))) from None
         self.remarks += [remark for remark in found.remarks if remark not in self.remarks]
         self.clock = found.kind
         return found.seconds

@@ -252,8 +252,9 @@ def _finish(
         order = np.argsort(time, kind="stable")
         run, source = ({key: data[order] for key, data in columns.items()} for columns in (run, source))
         time, number = time[order], number[order]
-    if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.nanmedian(np.diff(time))):
-        run["time_s"] = time = time - time[0]  # a start within a step of zero is the middle of the first interval
+    known = time[np.isfinite(time)]
+    if len(known) > 1 and not 0.0 <= known[0] <= 1.01 * float(np.median(np.diff(known))):
+        run["time_s"] = time = time - known[0]  # a start within a step of zero is the middle of the first interval
     run["time_s"] = time = close_jumps(time, remarks)
     lines = mapper.raw.lines
     if mapper.spec.refresh or mapper.spec.step is not None:  # before means are taken over the rows of a reset

@@ -307,7 +307,7 @@ def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str |
             parts[0] = parts[0] * unit_factor(unit, "duration")[0]
         return read_stamps(parts, " and ".join(names), zone, bool(raw.local & set(names)))
     except (TimeError, UnitError) as error:
-        raise InputError(Fault(raw.file, raw.line(0), 0, str(error), names[0])) from None
+        raise InputError(Fault(raw.file, raw.line(getattr(error, "row", 0)), 0, str(error), names[0])) from None
 
 
 def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, remarks: list[Remark]) -> None:

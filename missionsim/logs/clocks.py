@@ -6,12 +6,37 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from missionsim.labels import Labels
+from missionsim.logs.raw import Remark
 from missionsim.physics import Array
 
 
 class TimeError(ValueError):
-    """Why texts or numbers cannot be read as times."""
+    """Why texts or numbers cannot be read as times; `row`: of the first that cannot."""
+
+    def __init__(self, told: str, row: int = 0) -> None:
+        super().__init__(told)
+        self.row = row
+
+
+FEW_BAD = 0.05
+"""Part of the distinct stamps of a column that may be none: their rows have no time (assumed)."""
+
+
+def mostly_zoned(zoned: NDArray[np.bool_], labels: Labels) -> tuple[bool, str]:
+    """Whether distinct stamps mostly have a UTC offset, and what is said of the others; nothing where there are none.
+    Raises TimeError: too many others; no clock says what they mean."""
+    most = bool(zoned.mean() > 0.5)
+    odd = zoned != most
+    if not odd.any():
+        return most, ""
+    row = int(np.argmax(np.r_[odd, False][labels.codes]))
+    told = f"'{labels.names[labels.codes[row]][:40]}' has {'no' if most else 'a'} UTC offset, unlike most others"
+    if odd.mean() > FEW_BAD:
+        raise TimeError(f"{told}; all stamps of a column need one, or none", row)
+    return most, told
 
 
 _ZONES = {
@@ -155,3 +180,28 @@ def in_zone(seconds: Array, zone: str) -> Array:
             "give the offset in place of the zone: +02:00"
         ) from None
     return seconds_of(times.tz_convert(None))
+
+
+def clock_changes(values: Array, name: str, remarks: list[Remark]) -> Array:
+    """Local times over a night in which clocks change: the hour that stands twice or not at all is put right.
+
+    Back: a jump by one hour into an hour of the night. Forward: a Sunday's step from before a full hour of the night to
+    after the next one. Both with the usual step beside the hour.
+    """
+    step = np.diff(values)
+    if len(step) < 3:
+        return values
+    usual = max(float(np.median(np.abs(step))), 1e-6)
+    near = max(5 * usual, 2.0)
+    hour = (values[1:] % 86400.0) / _HOUR_S
+    back = (np.abs(step + _HOUR_S) <= near) & (hour < 4.0)
+    sunday = np.floor(values[1:] / 86400.0) % 7 == 3  # 1970-01-01 was a Thursday
+    full = np.round(values[:-1] / _HOUR_S) * _HOUR_S
+    forward = (np.abs(step - _HOUR_S) <= near) & (hour < 4.0) & sunday & (np.abs(full - values[:-1]) <= near)
+    if not (back.any() or forward.any()):
+        return values
+    way = "back" if back.any() else "forward"
+    told = f"local time jumps {way} by one hour at night: the clocks were changed"
+    action = "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed"
+    remarks.append(Remark("clock", name, told, action, "warning", 0, int(back.sum() + forward.sum())))
+    return np.asarray(values + np.cumsum(np.r_[0.0, _HOUR_S * back - _HOUR_S * forward]))

@@ -24,7 +24,7 @@ _ALIKE = 1e-7
 """Relative: numbers of four bytes miss a code by this at most."""
 _FEW, _FAR, _LONE = 8, 0.5, 10.0
 """Values that a column has beside its codes, else it may be a count; times their range that a code lies beside them,
-and one that stands there once, or is rare (all assumed)."""
+and one that stands there once or in most rows, or is rare (all assumed)."""
 _LASTS, _JUMPS = 2, 5.0
 """Rows that a code of -1, which lies near what is measured, lasts at most, and times the usual step of the others that
 it jumps by (both assumed)."""
@@ -149,8 +149,8 @@ class Tally:
         if code not in _ALL:
             return False
         far = max(self.low - code, code - self.high)
-        often = seen.count > 1 and code in _CODES
-        return far > (self.high - self.low) * (_FAR if often else _LONE) and 2 * seen.count < self.rows
+        usual = 1 < seen.count < 0.5 * self.rows and code in _CODES  # in most rows it may be the limit of a meter
+        return far > (self.high - self.low) * (_FAR if usual else _LONE)
 
 
 def _is(data: Array, code: Array | float) -> NDArray[np.bool_]:

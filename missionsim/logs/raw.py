@@ -235,7 +235,7 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
         return numbers_of(labels, lambda word: _SWITCH_WORDS[word.strip().lower()])
     dotted = labels
     if mark := _mark_of_thousands(labels.names, raw.decimal):
-        told = f"marks of thousands ({mark}) in its numbers"
+        told = f"marks of thousands ({mark if mark.strip() else 'spaces'}) in its numbers"
         raw.remarks.append(Remark("format", name, told, "read without them", "warning"))
         dotted = Labels(labels.codes, tuple(word.replace(mark, "") for word in labels.names))
     if raw.decimal != ".":
@@ -261,12 +261,15 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     return numbers
 
 
+_THOUSANDS = ".,'’ \N{NO-BREAK SPACE}\N{THIN SPACE}\N{NARROW NO-BREAK SPACE}"
+
+
 def _mark_of_thousands(words: Sequence[str], decimal: str) -> str:
     """What stands before every third digit in the numbers of a column, and nowhere else; empty where nothing does.
     A number that begins with nought has its decimals behind the mark."""
-    for mark in (mark for mark in ".,'’" if mark != decimal):
-        marked = [word.strip() for word in words if mark in word]
-        whole = rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+(?:{re.escape(decimal)}\d*)?"
+    for mark in (mark for mark in _THOUSANDS if mark != decimal):
+        marked = [word.strip() for word in words if re.search(rf"{re.escape(mark)}\d", word)]
+        whole = rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+(?:{re.escape(decimal)}\d*)?(?:\s*[^\s\d]\S{{,5}})?"
         if marked and all(re.fullmatch(whole, word) for word in marked):
             return mark
     return ""

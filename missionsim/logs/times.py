@@ -12,12 +12,15 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
 from missionsim.logs.clocks import (
+    FEW_BAD,
     HOURS_MINUTES,
     as_days,
+    clock_changes,
     hours_on,
     in_zone,
     is_minutes,
     minutes_and_seconds,
+    mostly_zoned,
     pair_in_doubt,
     refuse_from_nought,
     seconds_of,
@@ -144,7 +147,7 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
     elif whole.kind == "local" and zone is not None:
         whole, values = Stamps(whole.seconds, "utc", f"{whole.form}, {zone}"), in_zone(values, zone)
     elif whole.kind == "local":
-        values = _clock_changes(values, name, whole.remarks)
+        values = clock_changes(values, name, whole.remarks)
     if whole.kind != "own":
         whole.seconds = whole.seconds.copy()
         whole.seconds[known] = values
@@ -224,7 +227,7 @@ class TimeAxis:
         try:
             found = read_stamps([data], "time_s", local="time_s" in raw.local)
         except TimeError as error:
-            raise InputError(Fault(raw.file, raw.line(0), 0, str(error), "time_s")) from None
+            raise InputError(Fault(raw.file, raw.line(error.row), 0, str(error), "time_s")) from None
         if found.kind == "own" and self.end is None:
             raw.remarks += found.remarks
         known = found.seconds[np.isfinite(found.seconds)]
@@ -311,7 +314,7 @@ def _texts(labels: Labels, zone: str | None) -> Stamps:
     """Times of texts, each distinct text read once."""
     import pandas as pd
 
-    given = [written_out(text.strip(), drop=zone is not None) for text in labels.names]
+    odd, given = "", [written_out(text.strip(), drop=zone is not None) for text in labels.names]
     texts = pd.Series([_in_numbers(text) for text in given], dtype="object")
     sample = next(iter(texts), "")
     if (minutes := minutes_and_seconds(given)) is not None:
@@ -330,25 +333,29 @@ def _texts(labels: Labels, zone: str | None) -> Stamps:
             full = texts.str.replace(",", ".").where(texts.str.count(":") > 1, texts + ":00")
             values = np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
     elif _ISO.match(sample):
-        zoned = re.search(rf"\d{_ZONE}\Z", sample, re.IGNORECASE) is not None and ":" in sample
+        ends = texts.str.contains(rf":.*\d{_ZONE}\Z", case=False, regex=True).to_numpy(dtype=bool)
+        zoned, odd = mostly_zoned(ends, labels)
         kind = "utc" if zoned else "local" if re.search(r"\d[T _]+\d", sample, re.IGNORECASE) else "date"
         form = {"utc": "ISO 8601 with a zone", "local": "ISO 8601 without a zone", "date": "a date"}[kind]
         plain = texts.str.replace(",", ".").str.replace("/", "-").str.replace("_", " ")
         plain = plain.str.replace(r"(?<=\d)\s*(UTC|GMT)$", "Z", regex=True)
         plain = plain.str.replace(r"^(\d{4})\.(\d{2})\.(\d{2})", r"\1-\2-\3", regex=True)
         values = seconds_of(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
+        values[ends != zoned] = np.nan
     elif _DATED.match(sample):
-        kind, form, values = _dated(texts)
+        kind, form, values, odd = _dated(texts, labels)
     else:
         raise TimeError(f"'{next(iter(labels.names), '')[:40]}' is {NO_TIME}")
-    if len(values) and np.isnan(values).mean() > 0.05:
+    if len(values) and np.isnan(values).mean() > FEW_BAD:
         bad = texts[int(np.argmax(np.isnan(values)))]
         raise TimeError(f"'{bad[:40]}' is {NO_TIME}")
-    return Stamps(np.r_[values, np.nan][labels.codes], kind, form)
+    remarks = [Remark("clock", "time_s", odd, "such stamps count as none")] if odd else []
+    return Stamps(np.r_[values, np.nan][labels.codes], kind, form, remarks)
 
 
-def _dated(texts: Iterable[str]) -> tuple[str, str, Array]:
-    """Day first or month first: the one that every date fits, and then the one that spans less time."""
+def _dated(texts: Iterable[str], labels: Labels) -> tuple[str, str, Array, str]:
+    """Day first or month first: the one that every date fits, and then the one that spans less time; and what is said
+    of offsets."""
     import pandas as pd
 
     parts = [split_offset(text) for text in texts]
@@ -368,31 +375,10 @@ def _dated(texts: Iterable[str]) -> tuple[str, str, Array]:
         known = values[np.isfinite(values)]
         readings.append((float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values))
     _, _, words, values = min(readings, key=lambda reading: reading[:2])
-    if all(offset is not None for _, offset in parts):
-        return "utc", f"a date, {words}, and time with a zone", values - np.array([offset for _, offset in parts])
-    return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values
-
-
-def _clock_changes(values: Array, name: str, remarks: list[Remark]) -> Array:
-    """Local times over a night in which clocks change: the hour that stands twice or not at all is put right.
-
-    Back: a jump by one hour into an hour of the night. Forward: a Sunday's step from before a full hour of the night to
-    after the next one. Both with the usual step beside the hour.
-    """
-    step = np.diff(values)
-    if len(step) < 3:
-        return values
-    usual = max(float(np.median(np.abs(step))), 1e-6)
-    near = max(5 * usual, 2.0)
-    hour = (values[1:] % _DAY_S) / _HOUR
-    back = (np.abs(step + _HOUR) <= near) & (hour < 4.0)
-    sunday = np.floor(values[1:] / _DAY_S) % 7 == 3  # 1970-01-01 was a Thursday
-    full = np.round(values[:-1] / _HOUR) * _HOUR
-    forward = (np.abs(step - _HOUR) <= near) & (hour < 4.0) & sunday & (np.abs(full - values[:-1]) <= near)
-    if not (back.any() or forward.any()):
-        return values
-    way = "back" if back.any() else "forward"
-    told = f"local time jumps {way} by one hour at night: the clocks were changed"
-    action = "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed"
-    remarks.append(Remark("clock", name, told, action, "warning", 0, int(back.sum() + forward.sum())))
-    return np.asarray(values + np.cumsum(np.r_[0.0, _HOUR * back - _HOUR * forward]))
+    ends = np.array([offset is not None for _, offset in parts])
+    zoned, odd = mostly_zoned(ends, labels)
+    values[ends != zoned] = np.nan
+    if zoned:
+        offsets = np.array([offset or 0.0 for _, offset in parts])
+        return "utc", f"a date, {words}, and time with a zone", values - offsets, odd
+    return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values, odd

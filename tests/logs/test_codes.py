@@ -156,3 +156,15 @@ def test_nines_with_a_point_and_the_end_of_a_byte(code: float, rows: str) -> Non
 )
 def test_those_near_what_is_measured_stay(values: np.ndarray) -> None:
     assert without_codes(values)[1] == []
+
+
+@pytest.mark.parametrize("code", [-9999.0, 65535.0, 255.0, 999.9])
+def test_a_code_in_most_rows(code: float) -> None:
+    temperature = np.where(np.arange(N) % 20 < 13, code, (20.0 + 5.0 * SPEED).round(2))
+    kept, found = without_codes(temperature)
+    assert [(one, count) for one, count, _ in found] == [(code, int((temperature == code).sum()))]
+    assert np.nanmax(kept) < 30.0
+
+
+def test_a_meter_at_its_limit_in_most_rows_stays() -> None:
+    assert not without_codes(np.where(SPEED > 0.5, 32.767, (20.0 * SPEED).round(3)))[1]

@@ -71,6 +71,9 @@ def test_a_saturated_meter_a_reversal_and_zeros_stay(tmp_path: Path) -> None:
         (";", ",", lambda mw: f"{mw:,.1f}".translate(str.maketrans(",.", ".,"))),
         (",", ".", lambda mw: f'"{mw:,.0f}"'),
         (",", ".", lambda mw: f"{mw:,.1f}".replace(",", "'")),
+        (";", ",", lambda mw: f"{mw:,.1f}".translate(str.maketrans(",.", "\u202f,"))),
+        (";", ",", lambda mw: f"{mw:,.1f}\xa0mW".translate(str.maketrans(",.", "\xa0,"))),
+        (",", ".", lambda mw: f"{mw:,.0f}".replace(",", " ")),
     ],
 )
 def test_marks_of_thousands(tmp_path: Path, delimiter: str, decimal: str, write) -> None:  # type: ignore[no-untyped-def]

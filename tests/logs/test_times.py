@@ -9,6 +9,8 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
+from missionsim.importer.mapping import import_source
+from missionsim.inputs.loading import load_map
 from missionsim.labels import Labels
 from missionsim.logs import check_log, iter_blocks, read_log
 from missionsim.logs.times import TimeError, read_stamps
@@ -110,6 +112,31 @@ def test_a_bad_stamp_among_good_ones_is_a_missing_time(tmp_path: Path) -> None:
     log = read_log(path)
     assert log.rows == len(texts) - 1
     assert any(r.message == "1 row without a time" for r in log.remarks)
+
+
+@pytest.mark.parametrize("text", ["2021-06-25T23:59:{:02d}.5{}", "25.06.2021 23:59:{:02d}{}"])
+@pytest.mark.parametrize(
+    ("most", "other", "said"), [("+01:00", "", "has no UTC offset"), ("", "Z", "has a UTC offset")]
+)
+def test_stamps_with_and_without_an_offset(text: str, most: str, other: str, said: str) -> None:
+    odd = {0, 17}
+    texts = [text.format(second, other if second in odd else most) for second in range(59)]
+    found = read_stamps([Labels.of(texts)], "t")
+    assert set(np.flatnonzero(np.isnan(found.seconds))) == odd
+    assert np.ptp(found.seconds[1:17]) == 15.0
+    assert [r.message for r in found.remarks if "offset" in r.message] == [f"'{texts[0]}' {said}, unlike most others"]
+    with pytest.raises(TimeError, match=f"{said}, unlike most others") as raised:
+        read_stamps([Labels.of(texts[15:25])], "t")
+    assert raised.value.row == 2
+
+
+def test_a_first_stamp_that_is_none(tmp_path: Path) -> None:
+    """The times of all rows were counted from it, so that no row had one."""
+    texts = ["", *(FORMS["iso"](t) for t in STEPS[1:])]
+    (tmp_path / "run.csv").write_text("at,watt\n" + "".join(f"{text},10\n" for text in texts))
+    (tmp_path / "map.yaml").write_text("kind: map\ncolumns: {time_s: {stamp: at}, power_robot_w: watt}\n")
+    (log,) = import_source(tmp_path / "run.csv", load_map(tmp_path / "map.yaml"))
+    assert log.rows == len(texts) - 1
 
 
 def test_zones_by_name_change_with_the_clocks() -> None:

@@ -79,7 +79,7 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
 _HEAD_BYTES = 65536
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 _ENCODINGS = {"utf-16": "UTF-16", "utf-16-le": "UTF-16 (without its mark)", "utf-16-be": "UTF-16 (without its mark)"}
-_COMMA_NUMBER = re.compile(r"^[+-]?\d+,\d+$")
+_COMMA_NUMBER = re.compile(r"^[+-]?\d+(?:[.'’\s]\d{3})*,\d+$")
 
 
 @dataclass
