@@ -17,7 +17,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
-from missionsim.importer.run_table import Piece, RunTables, table_path, written
+from missionsim.importer.run_table import Piece, RunTables, table_path, word_in
 from missionsim.importer.sources import Source, find_sources, read_source, table_options, with_names
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
@@ -49,7 +49,7 @@ def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[P
         rows = np.split(np.argsort(code, kind="stable"), np.cumsum(np.bincount(code))[:-1])
         pieces = []
         for index in np.argsort(first):
-            words = [_word(raw.columns[name], int(first[index])) for name in names]
+            words = [word_in(raw.columns[name], int(first[index])) for name in names]
             pieces.append((file_name("_".join([stem, *words])), rows[index]))
     if not spec.runs.restart:
         return pieces
@@ -60,12 +60,6 @@ def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[P
         at = np.flatnonzero(step < -max(1.0, 10 * usual)) + 1
         parted += _numbered(name, np.split(inside, at)) if len(at) else [(name, inside)]
     return parted
-
-
-def _word(data: Any, row: int) -> str:
-    if isinstance(data, Labels):
-        return data.names[data.codes[row]] if data.codes[row] >= 0 else "none"
-    return written(data[row])
 
 
 def file_name(text: str) -> str:

@@ -29,6 +29,13 @@ def written(number: float) -> str:
     return f"{number:.15g}"
 
 
+def word_in(data: ColumnData, row: int) -> str:
+    """What a cell calls a run, ``none`` where it is empty."""
+    if isinstance(data, Labels):
+        return data.names[data.codes[row]] if data.codes[row] >= 0 else "none"
+    return written(data[row])
+
+
 def keys_of(data: ColumnData) -> list[str]:
     """What each row of a column calls its run: a path without the suffix of a log; empty where a cell is."""
     if isinstance(data, Labels):
@@ -93,7 +100,7 @@ class RunTables:
                 faults.append(Fault(table.file, table.line(rows[0]), 0, told, self._key, got, "one row a run", hint))
             elif len(rows) > 1:
                 told = f"a second row of one run, the first is line {table.line(rows[0])}"
-                cell = _cell(table.columns[str(column_name(self._key, table.names))], rows[1])
+                cell = word_in(table.columns[str(column_name(self._key, table.names))], rows[1])
                 faults.append(Fault(table.file, table.line(rows[1]), 0, told, self._key, cell, "one row a run"))
         if faults:
             raise InputError(faults)
@@ -141,7 +148,7 @@ class RunTables:
 
     def _names(self, raw: RawTable, source: Source, run: str, inside: NDArray[np.int64]) -> list[str]:
         """What the table may call a run, the closest first."""
-        by = [(name, _cell(raw.columns[name], int(inside[0]))) for name in self.spec.runs.by if len(inside)]
+        by = [(name, word_in(raw.columns[name], int(inside[0]))) for name in self.spec.runs.by if len(inside)]
         key = [word for name, word in by if name == identifier(self._key)]
         joined = ["_".join(word for _, word in by)] if by else []
         return [run, *key, *joined, source.name, *(name for p in source.files.values() for name in names_of_file(p))]
@@ -167,10 +174,6 @@ class RunTables:
                 told += f", first line {table.line(left[0])}" if table.line(left[0]) else ""
                 remark = Remark("name", "", told, "not used", "note", 0, len(left))
                 logs[0] = replace(logs[0], remarks=(*logs[0].remarks, remark))
-
-
-def _cell(data: ColumnData, row: int) -> str:
-    return str(data[row : row + 1].texts()[0]) if isinstance(data, Labels) else written(data[row])
 
 
 def _places(spec: MapSpec, source: Path) -> Iterator[Path]:

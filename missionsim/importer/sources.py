@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from fnmatch import translate
@@ -69,7 +69,7 @@ def find_files(given: Sequence[Path]) -> list[Path]:
 
 def _inside(folder: Path) -> list[Path]:
     """What a folder holds to import: files, bags, and the files of bags that have lost their description; where it
-    holds nothing itself, the files in the folders of it."""
+    holds nothing itself, or only a table of its folders, the files in those."""
     found: list[Path] = []
     loose = tuple(suffix for reader in registry().values() if reader.folder for suffix in reader.suffixes)
     for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
@@ -78,7 +78,26 @@ def _inside(folder: Path) -> list[Path]:
         elif path.is_dir():
             found += sorted(p for p in path.iterdir() if p.suffix.lower() in loose and not p.name.startswith("."))
     files = (p for p in sorted(folder.glob("*/*")) if p.suffix.lower() in source_suffixes())
-    return found or [p for p in files if not p.name.startswith(".") and not p.parent.name.startswith(".")]
+    inner = [p for p in files if not p.name.startswith(".") and not p.parent.name.startswith(".")]
+    if len(found) == 1:
+        listed = _listed(found[0], {path.parent.name for path in inner})
+        return [*found, *(path for path in inner if path.parent.name in listed)]
+    return found or inner
+
+
+_LIST_BYTES = 1 << 20
+"""Size of a table of folders at most (assumed)."""
+
+
+def _listed(path: Path, folders: Collection[str]) -> Collection[str]:
+    """The folders that a file is a table of: it names most of them, or has as many rows; none where it is another."""
+    if len(folders) < 2 or not path.is_file() or path.stat().st_size > _LIST_BYTES:
+        return ()
+    text = path.read_bytes()
+    named = [folder for folder in folders if folder.encode() in text]
+    if len(named) > max(1.0, 0.5 * len(folders)):
+        return named
+    return folders if sum(bool(line.strip()) for line in text.splitlines()) - 1 == len(folders) else ()
 
 
 def _is_source(path: Path) -> bool:

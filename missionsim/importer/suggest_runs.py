@@ -76,11 +76,12 @@ _NUMBER = re.compile(r"\b(nr|no|num\w*|id|index|log|file|bag)\b")
 _NOTES = re.compile(r"\b(notes?|comments?|remarks?|bemerkung\w*|kommentar\w*)\b")
 
 
-def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path, str, list[Field]] | None:
-    """The table beside some logs, or above them, that has a row for each: its path, the column that names the runs, and
-    its other columns; None where there is none. `runs`: where one log holds several, what tells them apart."""
-    names = [[run] for run in runs] or [names_of_file(path) for path in paths]
-    words = [one[-1].lstrip("0").encode() for one in names]
+def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path, list[str], list[Field]] | None:
+    """The table beside some logs, or above them, that has a row for each: its path, the column that names the runs (or
+    several that name them as well, but not the same rows), and its other columns; None where there is none. `runs`:
+    where one log holds several, what tells them apart."""
+    names = [[run] for run in runs] or [[*names_of_file(path), path.resolve().parent.name] for path in paths]
+    words = [word.lstrip("0").encode() for one in names for word in one[-2:]]
     beside = dict.fromkeys(folder for path in paths for folder in (path.resolve().parent, path.resolve().parent.parent))
     for file in (file for folder in beside for file in sorted(folder.glob("*.[ct]sv"))[:_BESIDE]):
         given = file.is_file() and any(file.samefile(path) for path in paths)
@@ -95,7 +96,16 @@ def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path
             fields = fields_of(file)
         except InputError:
             continue
-        logs = [one for one, path in zip(names, paths, strict=True) if not file.samefile(path)] if not runs else names
+        logs = (
+            [
+                one if path.resolve().parent != file.parent else one[:-1]  # the folder of the table names no run
+                for one, path in zip(names, paths, strict=True)
+                if not file.samefile(path)
+            ]
+            if not runs
+            else names
+        )
+        fitting: list[tuple[bool, Field, list[list[int]]]] = []
         for one in fields:
             keys = keys_of(one.values)
             if len(keys) < 2 or len(set(keys)) < len(keys) or len(fields) < 2:
@@ -107,7 +117,12 @@ def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path
             named = named or (len(logs) > 1 and _NUMBER.search(called) is not None)
             met = {row for rows in found for row in rows}
             if named and sum(map(bool, found)) > 0.5 * len(logs) and len(met) > (len(logs) > 1):
-                return file, one.name, [other for other in fields if other is not one]
+                fitting.append((isinstance(one.values, Labels), one, found))
+        if fitting:
+            words_first = max(by_word for by_word, _, _ in fitting)  # numbers come by chance
+            (_, best, rows), *others = (one for one in fitting if one[0] == words_first)
+            alike = [best, *(one for _, one, other in others if other != rows)]
+            return file, [one.name for one in alike], [one for one in fields if one not in alike]
     return None
 
 
@@ -117,8 +132,14 @@ def _head(path: Path) -> bytes:
         return file.readline(1 << 16).strip()
 
 
-def join_runs(draft: Draft, path: Path, key: str, columns: Sequence[Field]) -> None:
+def join_runs(draft: Draft, path: Path, keys: Sequence[str], columns: Sequence[Field]) -> None:
     """Take what a table of runs says of the conditions of a run into a draft, as fields ``runs.column``."""
+    key = keys[0] if len(keys) == 1 else "KEY"
+    if len(keys) > 1:
+        named = " and ".join(f"'{one}'" for one in keys)
+        draft.missing.append(
+            f"{path.name}: {named} name the runs, but not the same rows: write one in the place of KEY"
+        )
     given = draft.head.get("runs", "{}")
     more = ", " if given != "{}" else ""
     draft.head["runs"] = given.replace("{", f"{{table: {quoted(path.name)}, key: {quoted(key)}{more}", 1)

@@ -191,3 +191,55 @@ def test_the_table_is_not_overwritten(tmp_path: Path, option: str, capsys: pytes
     assert main(["import", str(logs / "run_01.csv"), "--map", str(tmp_path / "map.yaml"), *out]) == 2
     assert f"{option} would overwrite" in capsys.readouterr().err
     assert (tmp_path / "runs.csv").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("header", "key"),
+    [
+        ("run,file", "file"),  # a name says more than a number
+        ("file,run", "file"),
+        ("no,run", None),
+        ("original,renamed", None),
+    ],
+)
+def test_of_two_columns_that_name_the_runs(tmp_path: Path, header: str, key: str | None) -> None:
+    """The first that fitted was the key: each run had what another one's row said."""
+    names = {"run": "{}", "no": "{}", "file": "run_0{}.csv", "original": "run_0{}", "renamed": "run_0{}"}
+    first, second = header.split(",")
+    rows = [f"{names[first].format(k)},{names[second].format(4 - k)},{20 + k}" for k in (1, 2, 3)]
+    folder = published(tmp_path, rows, header=f"{header},ambient_C")
+    made = suggest_map(find_files([folder]))
+    assert f"key: {key or 'KEY'}" in made.text
+    told = [f"runs.csv: '{first}' and '{second}' name the runs, but not the same rows: write one in the place of KEY"]
+    assert list(made.missing) == ([] if key else told)
+
+
+@pytest.mark.parametrize("keys", [("folder", "run1", "run2", "run3"), ("run", "1", "2", "3")])
+@pytest.mark.parametrize("inside", ["data.csv", "log_7.csv"])
+def test_logs_in_folders_that_the_table_names(tmp_path: Path, keys: tuple[str, ...], inside: str) -> None:
+    """Of a folder with a table of runs and the folders of the runs, the table alone was taken, for a log."""
+    (tmp_path / "runs.csv").write_text(
+        f"{keys[0]},{HEADER[5:]}\n" + "".join(f"{k},{row[11:]}\n" for k, row in zip(keys[1:], ROWS, strict=True))
+    )
+    for index in (1, 2, 3):
+        (tmp_path / f"run{index}").mkdir()
+        write_csv(tmp_path / f"run{index}" / inside, motion(200, seed=index))
+    made = suggest_map(find_files([tmp_path]))
+    assert f"runs: {{table: runs.csv, key: {keys[0]}}}" in made.text
+    (tmp_path / "made.yaml").write_text(made.text)
+    logs = import_source(tmp_path, load_map(tmp_path / "made.yaml"))
+    assert [log.columns["surface"].names for log in logs] == [("tile",), ("carpet",), ("tile",)]
+
+
+def test_a_run_without_a_word_has_no_row(tmp_path: Path) -> None:
+    """An empty cell of what tells runs apart was an empty key of the table."""
+    columns = motion(200, seed=1) | {"part": ["a"] * 100 + [""] * 100}
+    write_csv(tmp_path / "day.csv", columns)
+    (tmp_path / "runs.csv").write_text("part,floor\na,tile\n,carpet\n")
+    (tmp_path / "map.yaml").write_text(
+        MAP.replace("key: file}", "key: part, by: [part]}")
+        .replace(", load: runs.load_g, air: runs.ambient_C", "")
+        .replace("  payload_kg: {value: load, unit: g}\n  temp_ambient_c: air\n", "")
+    )
+    with pytest.raises(InputError, match=r"no row of runs\.csv is of the run 'day_none'"):
+        import_source(tmp_path / "day.csv", load_map(tmp_path / "map.yaml"))
