@@ -22,7 +22,7 @@ from missionsim.importer.sources import Source, find_sources, read_source, table
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
-from missionsim.logs.clean import count_on, out_of_order
+from missionsim.logs.clean import count_on, out_of_order, refuse_turns
 from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
@@ -55,9 +55,10 @@ def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[P
         return pieces
     parted = []
     for name, inside in pieces:
-        step = np.diff(time_s[inside])
-        usual = float(np.nanmedian(np.abs(step))) if len(step) else 0.0
-        at = np.flatnonzero(step < -max(1.0, 10 * usual)) + 1
+        known = np.flatnonzero(np.isfinite(time_s[inside]))  # a header that stands again has no time
+        step = np.diff(time_s[inside[known]])
+        usual = float(np.median(np.abs(step))) if len(step) else 0.0
+        at = known[1:][step < -max(1.0, 10 * usual)]
         parted += _numbered(name, np.split(inside, at)) if len(at) else [(name, inside)]
     return parted
 
@@ -76,7 +77,8 @@ def split_at_gaps(name: str, time_s: Array, runs: RunsMap, remarks: list[Remark]
     """Pieces of a run between gaps longer than ``runs.gap``; pieces under ``runs.shortest`` are left out and told."""
     pieces = [np.arange(len(time_s))]
     if runs.gap is not None:
-        pieces = np.split(pieces[0], np.flatnonzero(np.diff(time_s) > float(runs.gap)) + 1)
+        known = np.flatnonzero(np.isfinite(time_s))
+        pieces = np.split(pieces[0], known[1:][np.diff(time_s[known]) > float(runs.gap)])
     shortest = float(runs.shortest) if runs.shortest is not None else 0.0
     spans = [time_s[piece][np.isfinite(time_s[piece])] for piece in pieces]
     long = [piece for piece, t in zip(pieces, spans, strict=True) if len(t) > 1 and t[-1] - t[0] >= shortest]
@@ -253,6 +255,8 @@ def _finish(
     lines = mapper.raw.lines
     if mapper.spec.refresh or mapper.spec.step is not None:  # before means are taken over the rows of a reset
         remarks += count_on(run, lambda row: mapper.raw.line(int(number[row])))
+        if late is None:
+            refuse_turns(run, mapper.raw.file, mapper.raw.line(int(number[0])))
     if mapper.spec.refresh:
         run = _one_row_a_refresh(mapper, run, source, remarks)
         number, lines = np.empty(0, dtype=np.int64), lambda _row: 0

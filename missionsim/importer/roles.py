@@ -79,7 +79,8 @@ def words_of(name: str) -> tuple[str, str]:
     if not unit and not re.search(r"quat|orient|rotation|axis", text, re.IGNORECASE):
         for tail in _TAILS:
             match = re.search(tail, text)
-            if match and match[1] not in ("min", "h", "d") and (unit := known_unit(match[1])):
+            short = match and match[1] in ("min", "h", "d") and not re.match("time|elapsed", text, re.IGNORECASE)
+            if match and not short and (unit := known_unit(match[1])):
                 text = text[: match.start()]
                 break
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text).lower().replace("ß", "ss")
@@ -338,13 +339,13 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     usual = float(np.median(step[step > 0]))
     score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
+    in_days = False
     try:
         stamps = numbers_as_times(known)
-    except TimeError:  # days, or seconds of a clock: the map that is suggested asks
-        stamps = Stamps(known, "own", "days or seconds", likely=False)
-    epoch = stamps.kind != "own"
-    in_days = (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5) and known[-1] - known[0] < 3
-    if not unit and not epoch and in_days and 0 < np.median(step) < 1e-3:
+    except TimeError:  # days, or seconds of a clock
+        stamps, in_days = Stamps(known, "own", "days or seconds", likely=False), True
+    epoch = stamps.kind != "own" and not (unit and stamps.kind == "day")  # hours lie below one as well
+    if not unit and in_days:
         return Guess("time", field.name, "d", score, "days, as spreadsheets count them", "likely")
     why = "grows from row to row" + (
         ", an epoch" if stamps.kind == "utc" else f", {stamps.form}" if epoch else f", {unit}" if unit else ""

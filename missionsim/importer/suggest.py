@@ -22,6 +22,7 @@ from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted
 from missionsim.importer.suggest_runs import join_runs, one_row_a_run, recognised_runs, table_of_runs
 from missionsim.labels import Labels
+from missionsim.logs.clean import in_turn
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of
 from missionsim.logs.times import date_and_clock, is_fine
@@ -160,7 +161,11 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     if draft.direct:
         times = {*draft.columns["time_s"][1].field.split("\n")}
         times |= {name for pair in _seconds_and_nanoseconds(draft.fields) for name in pair}
-        draft.head |= recognised_runs(draft.fields, draft.time_s, times)
+        first = {name: guess.field.partition("\n")[0] for name, (_, guess) in draft.columns.items()}
+        jumping = in_turn({name: draft.fields[one].values for name, one in first.items() if one in draft.fields})
+        draft.head |= recognised_runs(draft.fields, draft.time_s, times, [first[name] for name in jumping])
+        if jumping and "by" not in draft.head.get("runs", ""):
+            draft.missing.append("rows of several recordings in turn, and no column tells them apart: part the file")
         if table is None and (by := re.match(r"\{by: \[(\w+)\]", draft.head.get("runs", ""))):
             apart = next(one.values for name, one in draft.fields.items() if identifier(name) == by[1])
             table = table_of_runs(paths, list(dict.fromkeys(keys_of(apart))))

@@ -17,6 +17,7 @@ from missionsim.importer.run_table import keys_of, names_of_file, rows_called
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_motion import quoted
 from missionsim.labels import Labels
+from missionsim.logs.clean import turns
 from missionsim.logs.readers import source_suffixes
 from missionsim.logs.times import is_stamp
 from missionsim.physics import Array
@@ -36,16 +37,18 @@ _CLASHES, _MOST, _ROWS = 0.1, 50, 10
 each has at least (assumed)."""
 
 
-def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: set[str]) -> dict[str, str]:
+def recognised_runs(
+    fields: Mapping[str, Field], time_s: Array | None, times: set[str], turning: Sequence[str] = ()
+) -> dict[str, str]:
     """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
-    Gives ``runs`` → its value as YAML; empty for one run."""
+    `turning`: fields that jump back and forth together. Gives ``runs`` → its value as YAML; empty for one run."""
     if time_s is None or len(time_s) < 4:
         return {}
-    if (apart := _in_turn(fields, time_s, times)) is not None:
+    if (apart := _in_turn(fields, time_s, times, turning)) is not None:
         more = [name for name in fields if name not in (apart, *times) and _RUN.search(words_of(name)[0])]
         return {"runs": f"{{by: [{', '.join(map(identifier, [apart, *more]))}]}}  # several recordings in one file"}
-    step = np.diff(time_s)
-    usual = float(np.median(np.abs(step)))
+    step = np.diff(time_s[np.maximum.accumulate(np.where(np.isfinite(time_s), np.arange(len(time_s)), 0))])
+    usual = float(np.nanmedian(np.abs(step)))
     restarts = step < -max(1.0, 10 * usual)
     changes: dict[str, NDArray[np.bool_]] = {}
     for name, one in fields.items():
@@ -175,20 +178,23 @@ def _counts(one: Field) -> Array | NDArray[np.int64] | None:
     return one.values if np.isfinite(one.values).all() and (one.values == np.round(one.values)).all() else None
 
 
-def _in_turn(fields: Mapping[str, Field], time_s: Array, times: set[str]) -> str | None:
+def _in_turn(fields: Mapping[str, Field], time_s: Array, times: set[str], turning: Sequence[str]) -> str | None:
     """The column that tells recordings apart whose rows stand in one table in any order: one that is called so, or
-    without which rows have the times of others. What tells apart messages that fill their own columns is none.
+    without which rows have the times of others, or values jump back and forth. What tells apart messages that fill
+    their own columns is none.
     """
     clashes = float(np.mean(np.diff(np.sort(time_s[np.isfinite(time_s)])) == 0)) > _CLASHES
     for name, one in fields.items():
         values = _counts(one)
         called = _VEHICLE.fullmatch(words_of(name)[0]) is not None
-        if name in times or values is None or not (called or clashes):
+        if name in times or values is None or not (called or clashes or turning):
             continue
         _, group, count = np.unique(values, return_inverse=True, return_counts=True)
         if not 2 <= len(count) <= _MOST or count.min() < _ROWS:
             continue
         order = np.argsort(group, kind="stable")
+        if not (called or clashes) and any(turns(np.asarray(fields[one].values)[order]) for one in turning):
+            continue  # it does not tell them apart
         step = np.diff(time_s[order])[np.diff(group[order]) == 0]
         numbers = [np.isfinite(other.values) for other in fields.values() if not isinstance(other.values, Labels)]
         shares = [np.bincount(group, known) / count for known in numbers]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,6 +98,8 @@ def order_time(rows: Rows) -> None:
         _merge_duplicates(rows)
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, "all rows have the same time", path="time_s", allowed="at least two times"))
+    if all(remark.kind != "time_backwards" for remark in rows.remarks):  # rows sorted by wrong times jump as well
+        refuse_turns(rows.columns, file, rows.raw.line(int(rows.row[0])))
     step = np.diff(rows.time)
     typical = float(np.median(step))
     wide = step > max(5 * typical, typical + 0.5)
@@ -215,13 +217,15 @@ def _merge_duplicates(rows: Rows) -> None:
 _COARSE, _TURNS, _APART = 20, 5, 3.0
 """Times that a log has at least where many rows share each; rows of one time of as many recordings at most, and times
 what a value changes by from time to time that it differs by between them (assumed)."""
+ELECTRIC = ("power_", "voltage_", "current_", "energy_")
+"""How columns of a battery begin."""
+_APART_HINT = "a map with runs: {by: [the column that tells them apart]}"
 
 
 def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np.int64]) -> None:
     """Raise InputError where many rows share their time with others and their mean is of no robot: several recordings
     whose rows stand in turn, or times so coarse that hardly any are left."""
     n, line = len(rows.time), rows.raw.line(int(rows.row[0]))
-    hint = "a map with runs: {by: [the column that tells them apart]}"
     if 1 < len(starts) < min(_COARSE, n / 10):
         told = f"{n} rows have {counted(len(starts), 'time')}: the stamps are too coarse for the rows"
         allowed = "stamps of the rows, or a map with time_s from the rows' number and rate"
@@ -239,7 +243,34 @@ def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np
             told = (
                 f"rows of several recordings in turn: {name} differs by {apart:.4g} at one time, by {change:.4g} after"
             )
-            raise InputError(Fault(rows.raw.file, line, 0, told, "time_s", allowed="one recording a file", hint=hint))
+            raise InputError(
+                Fault(rows.raw.file, line, 0, told, "time_s", allowed="one recording a file", hint=_APART_HINT)
+            )
+
+
+def turns(data: Array) -> bool:
+    """Whether a column, shape (n,), jumps back and forth: what it changes by from row to row is far more than to the
+    next row but some."""
+    if len(data) < _COARSE or not np.isfinite(data).all():
+        return False
+    near, *far = (float(np.median(np.abs(data[lag:] - data[:-lag]))) for lag in range(1, _TURNS + 1))
+    return min(far) > 0.0 and near > _APART * min(far)
+
+
+def in_turn(columns: Mapping[str, ColumnData]) -> list[str]:
+    """The columns of the glossary that jump back and forth together, as where rows of several recordings stand in turn:
+    two or more, and not only electric ones, which a load that is switched moves."""
+    known = (name for name, data in columns.items() if not isinstance(data, Labels) and column_of(name))
+    apart = [name for name in known if name != "time_s" and turns(np.asarray(columns[name]))]
+    return apart if len(apart) > 1 and not all(name.startswith(ELECTRIC) for name in apart) else []
+
+
+def refuse_turns(columns: Mapping[str, ColumnData], file: str, line: int) -> None:
+    """Raise InputError where rows of several recordings stand in turn, each with times of its own. `line`: that of the
+    first row."""
+    if apart := in_turn(columns):
+        told = f"rows of several recordings in turn: {' and '.join(apart)} jump back and forth from row to row"
+        raise InputError(Fault(file, line, 0, told, apart[0], allowed="one recording a file", hint=_APART_HINT))
 
 
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:

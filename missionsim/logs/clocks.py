@@ -25,16 +25,18 @@ FEW_BAD = 0.05
 """Part of the distinct stamps of a column that may be none: their rows have no time (assumed)."""
 
 
-def mostly_zoned(zoned: NDArray[np.bool_], labels: Labels) -> tuple[bool, str]:
-    """Whether distinct stamps mostly have a UTC offset, and what is said of the others; nothing where there are none.
-    Raises TimeError: too many others; no clock says what they mean."""
-    most = bool(zoned.mean() > 0.5)
-    odd = zoned != most
+def mostly_zoned(zoned: NDArray[np.bool_], seconds: Array, labels: Labels) -> tuple[bool, str]:
+    """Whether distinct stamps, of so many seconds, mostly have a UTC offset, and what is said of the others, which
+    become NaN; nothing where there are none. Raises TimeError: too many others; no clock says what they mean."""
+    known = np.isfinite(seconds)
+    most = bool(2 * zoned[known].sum() > known.sum())
+    odd = known & (zoned != most)
+    seconds[odd] = np.nan
     if not odd.any():
         return most, ""
     row = int(np.argmax(np.r_[odd, False][labels.codes]))
-    told = f"'{labels.names[labels.codes[row]][:40]}' has {'no' if most else 'a'} UTC offset, unlike most others"
-    if odd.mean() > FEW_BAD:
+    told = f"'{labels.names[labels.codes[row]][:40]}' has {'no' if most else 'a'} UTC offset, unlike other stamps"
+    if odd.sum() > FEW_BAD * known.sum():
         raise TimeError(f"{told}; all stamps of a column need one, or none", row)
     return most, told
 
@@ -132,21 +134,26 @@ _SURE_D, _MOST_D = 5e-5, 9e-4
 (both assumed)."""
 
 
-def as_days(values: Array, usual: float) -> tuple[Array, str] | None:
-    """Seconds since 1970 of numbers of days, and in words who counts so; None where they are none.
+def as_days(values: Array, usual: float) -> tuple[Array, str, str] | None:
+    """Seconds since 1970 of numbers of days, or since midnight of parts of one, their kind, and in words who counts so;
+    None where they are none.
 
     `values`: shape (n,); `usual`: their usual step. Raises TimeError: they may be days, or seconds.
     """
     known = values[np.isfinite(values)]
     middle = float(np.median(known)) if len(known) else 0.0
-    for who, zero in _DAYS:
-        if _FIRST_D < middle - zero < _LAST_D and 0.0 < usual < _MOST_D:
-            if usual > _SURE_D:
-                raise TimeError(
-                    f"{middle:.9g} in steps of {usual:.3g} may be days, as {who} them, or seconds; "
-                    "say which in a map: time_s: {value: …, unit: d}, or unit: s"
-                )
-            return (values - zero) * 86400.0, f"days, as {who} them"
+    if not 0.0 < usual < _MOST_D:
+        return None
+    found = [(f"days, as {who} them", zero) for who, zero in _DAYS if _FIRST_D < middle - zero < _LAST_D]
+    if not found and known.min() >= 0.0 and known.max() < 1.0:
+        found = [("parts of a day, as spreadsheets write a time", 0.0)]
+    for told, zero in found:
+        if usual > _SURE_D:
+            raise TimeError(
+                f"{middle:.9g} in steps of {usual:.3g} may be {told}, or seconds; "
+                "say which in a map: time_s: {value: …, unit: d}, or unit: s"
+            )
+        return (values - zero) * 86400.0, "local" if zero else "day", told
     return None
 
 

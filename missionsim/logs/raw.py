@@ -99,6 +99,8 @@ class RawTable:
     _: KW_ONLY
     decimal: str = "."
     """Decimal mark of numbers that stand among texts."""
+    odd: dict[str, Labels] = field(default_factory=dict)
+    """Columns of numbers in which some cells are none, as they stand there."""
 
     @property
     def rows(self) -> int:
@@ -254,6 +256,7 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
         told = f"each cell has a unit behind its number ({', '.join(sorted(filter(None, units)))})"
         raw.remarks.append(Remark("format", name, told, "read without prefix, speeds in m/s", "note"))
         return read
+    raw.odd[name] = labels
     row = int(np.argmax(bad))
     first, count = labels.names[labels.codes[row]][:40], int(bad.sum())
     told = f"{count} of {len(numbers)} cells are not numbers, first '{first}'"

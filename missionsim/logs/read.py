@@ -16,7 +16,7 @@ from missionsim.files import grouped, sha256
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
-from missionsim.logs.clean import Rows, count_on, fill_missing, order_time
+from missionsim.logs.clean import ELECTRIC, Rows, count_on, fill_missing, order_time
 from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, is_recording, log_suffixes, not_there, table_reader
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 _SOURCES = {"power": "power_{}_w", "voltage*current": "current_{}_a", "energy": "energy_{}_wh"}
-_ELECTRIC = ("power_", "voltage_", "current_", "energy_")
 
 
 def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
@@ -207,10 +206,10 @@ def make_log(
         order_time(rows)
         rows.remarks += count_on(rows.columns, lambda row: raw.line(int(rows.row[row])))
         rows.dt = row_durations(rows.time)
-        held = fill_missing(rows, {name for name in rows.columns if name.startswith(_ELECTRIC)})
+        held = fill_missing(rows, {name for name in rows.columns if name.startswith(ELECTRIC)})
         kinds = measured_batteries(rows.columns)
         if not kinds or len(rows.row) < 2:
-            got = "; ".join(f"{r.column}: {r.message}" for r in rows.remarks if r.column.startswith(_ELECTRIC))
+            got = "; ".join(f"{r.column}: {r.message}" for r in rows.remarks if r.column.startswith(ELECTRIC))
             message, allowed = "no battery has values in two rows or more", "numbers in watts, or in volts and amperes"
             raise InputError(Fault(raw.file, 0, 0, message, "power_<battery>_w", got, f"{allowed}, or in watt-hours"))
         return _freeze(rows, run, kinds, held, robot, own, statistics)

@@ -283,7 +283,7 @@ def numbers_as_times(values: Array) -> Stamps:
             return Stamps(values * 1e-7 - zero_s, "utc", f"tenths of a microsecond since {told}")
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     if (days := as_days(values, usual)) is not None:
-        return Stamps(days[0], "local", days[1])
+        return Stamps(*days)
     found = next(((factor, unit) for limit, factor, unit in _EPOCHS if middle > limit), None)
     if found is None or (usual > _SLOWEST_S * found[0] and float(np.ptp(known)) > _YEAR_S * found[0]):
         return Stamps(values, "own", "seconds")
@@ -334,14 +334,13 @@ def _texts(labels: Labels, zone: str | None) -> Stamps:
             values = np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
     elif _ISO.match(sample):
         ends = texts.str.contains(rf":.*\d{_ZONE}\Z", case=False, regex=True).to_numpy(dtype=bool)
-        zoned, odd = mostly_zoned(ends, labels)
-        kind = "utc" if zoned else "local" if re.search(r"\d[T _]+\d", sample, re.IGNORECASE) else "date"
-        form = {"utc": "ISO 8601 with a zone", "local": "ISO 8601 without a zone", "date": "a date"}[kind]
         plain = texts.str.replace(",", ".").str.replace("/", "-").str.replace("_", " ")
         plain = plain.str.replace(r"(?<=\d)\s*(UTC|GMT)$", "Z", regex=True)
         plain = plain.str.replace(r"^(\d{4})\.(\d{2})\.(\d{2})", r"\1-\2-\3", regex=True)
         values = seconds_of(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
-        values[ends != zoned] = np.nan
+        zoned, odd = mostly_zoned(ends, values, labels)
+        kind = "utc" if zoned else "local" if re.search(r"\d[T _]+\d", sample, re.IGNORECASE) else "date"
+        form = {"utc": "ISO 8601 with a zone", "local": "ISO 8601 without a zone", "date": "a date"}[kind]
     elif _DATED.match(sample):
         kind, form, values, odd = _dated(texts, labels)
     else:
@@ -376,8 +375,7 @@ def _dated(texts: Iterable[str], labels: Labels) -> tuple[str, str, Array, str]:
         readings.append((float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values))
     _, _, words, values = min(readings, key=lambda reading: reading[:2])
     ends = np.array([offset is not None for _, offset in parts])
-    zoned, odd = mostly_zoned(ends, labels)
-    values[ends != zoned] = np.nan
+    zoned, odd = mostly_zoned(ends, values, labels)
     if zoned:
         offsets = np.array([offset or 0.0 for _, offset in parts])
         return "utc", f"a date, {words}, and time with a zone", values - offsets, odd

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command as main
+from missionsim.errors import InputError
 from missionsim.importer.mapping import import_source
+from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, read_log, read_logs
 from tests.logs import loggers
@@ -208,3 +211,74 @@ def test_the_battery_is_called_as_the_robot_calls_it(tmp_path: Path) -> None:
     assert main(["import", str(tmp_path / "run.csv"), "--map", str(made), "--out", str(log), "--quiet"]) == 0
     assert read_log(log).batteries == ("main",)
     assert main([*suggest[:2], "--map", str(made), "--robot", "pioneer3dx", "--out", str(log)]) == 2
+
+
+def two_recordings(offset: float = 0.0) -> tuple[list[list[str]], list[list[str]]]:
+    """Time, power, speed and turn rate of two robots."""
+    made = []
+    for phase in (0.0, 2.0):
+        v = [0.4 + 0.3 * math.sin(0.02 * i + phase) for i in range(300)]
+        made.append(
+            [[f"{0.1 * i + offset * phase:.2f}", f"{7 + 8 * v[i] + 10 * phase:.3f}", f"{v[i]:.4f}"] for i in range(300)]
+        )
+    return made[0], made[1]
+
+
+@pytest.mark.parametrize("name", ["id", ""])
+def test_rows_of_two_robots_in_turn(tmp_path: Path, name: str) -> None:
+    """The stamps of one lie between those of the other: both were read as one robot, with the mean of their power."""
+    rows = []
+    for one, other in zip(*two_recordings(0.015), strict=True):
+        rows += [[*one, "7"][: 3 + bool(name)], [*other, "9"][: 3 + bool(name)]]
+    header = ["time_s", "power_w", "speed_m_s", *([name] if name else [])]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
+    made = suggest_map([tmp_path / "log.csv"])
+    (tmp_path / "map.yaml").write_text(made.text)
+    if name:
+        logs = import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))
+        assert [round(float(log.power_w["robot"].mean()) / 10) for log in logs] == [1, 3]
+        return
+    assert list(made.missing) == ["rows of several recordings in turn, and no column tells them apart: part the file"]
+    with pytest.raises(InputError, match="power_robot_w and speed_m_s jump back and forth from row to row"):
+        import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))
+
+
+def test_a_load_that_is_switched_is_no_second_robot(tmp_path: Path) -> None:
+    rows = [[*one[:1], f"{12 - 0.5 * (i % 2) + 1e-3 * (i % 7)}", f"{1 + i % 2 + 1e-3 * (i % 5)}", one[2]]
+            for i, one in enumerate(two_recordings()[0])]  # fmt: skip
+    header = ["time_s", "voltage_v", "current_a", "speed_m_s"]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
+    (log,) = suggested(tmp_path, tmp_path / "log.csv")
+    assert log.rows == 300
+
+
+@pytest.mark.parametrize(("name", "unit_s"), [("time_h", 3600.0), ("time [min]", 60.0), ("Elapsed", 86400.0)])
+def test_times_below_one(tmp_path: Path, name: str, unit_s: float) -> None:
+    """A unit says more than that parts of a day lie below one as well."""
+    rows = [",".join([f"{float(one[0]) / unit_s:.10f}", *one[1:]]) for one in two_recordings()[0]]
+    (tmp_path / "log.csv").write_text("\n".join([f"{name},power_w,speed_m_s", *rows]) + "\n")
+    (log,) = suggested(tmp_path, tmp_path / "log.csv")
+    assert log.duration_s == pytest.approx(30.0, abs=0.2)
+
+
+@pytest.mark.parametrize("units", [["s", "W", "m/s"], []])
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1)])
+def test_a_header_that_stands_again(tmp_path: Path, order: tuple[int, ...], units: list[str]) -> None:
+    """Two recordings one behind the other in a file: the second's power was read as its speed."""
+    first, second = two_recordings()
+    head = [["time_s", "power_w", "speed_m_s"], *([units] if units else [])]
+    rows = [*head, *first, *([row[k] for k in order] for row in [*head, *second])]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    if order != (0, 1, 2):
+        with pytest.raises(InputError, match="a second header, with its columns in another order") as caught:
+            suggest_map([tmp_path / "log.csv"])
+        assert caught.value.faults[0].line == 302 + bool(units)
+        return
+    for form in ("{}", "2025-03-14T09:{:02d}:{:06.3f}Z"):  # the second restarts, or begins half an hour later
+        lines = [row if not row[0][0].isdigit() else [form.format(row[0]) if form == "{}" else
+                 form.format(30 * (index > 300) + int(float(row[0])) // 60, float(row[0]) % 60), *row[1:]]
+                 for index, row in enumerate(rows)]  # fmt: skip
+        (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in lines) + "\n")
+        (tmp_path / "map.yaml").write_text(suggest_map([tmp_path / "log.csv"]).text)
+        logs = import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))
+        assert [log.rows for log in logs] == [300, 300]

@@ -120,12 +120,12 @@ def test_a_bad_stamp_among_good_ones_is_a_missing_time(tmp_path: Path) -> None:
 )
 def test_stamps_with_and_without_an_offset(text: str, most: str, other: str, said: str) -> None:
     odd = {0, 17}
-    texts = [text.format(second, other if second in odd else most) for second in range(59)]
+    texts = [text.format(second, other if second in odd else most) for second in range(59)] + ["time"]
     found = read_stamps([Labels.of(texts)], "t")
-    assert set(np.flatnonzero(np.isnan(found.seconds))) == odd
+    assert set(np.flatnonzero(np.isnan(found.seconds))) == odd | {59}
     assert np.ptp(found.seconds[1:17]) == 15.0
-    assert [r.message for r in found.remarks if "offset" in r.message] == [f"'{texts[0]}' {said}, unlike most others"]
-    with pytest.raises(TimeError, match=f"{said}, unlike most others") as raised:
+    assert [r.message for r in found.remarks if "offset" in r.message] == [f"'{texts[0]}' {said}, unlike other stamps"]
+    with pytest.raises(TimeError, match=f"{said}, unlike other stamps") as raised:
         read_stamps([Labels.of(texts[15:25])], "t")
     assert raised.value.row == 2
 
@@ -188,6 +188,17 @@ def test_days(tmp_path: Path, zero: float, who: str) -> None:
     rows = [f"{day:.10f},{10 + i % 3}" for i, day in enumerate(days)]
     (tmp_path / "run.csv").write_text("time_s,power_robot_w\n" + "\n".join(rows) + "\n")
     assert read_log(tmp_path / "run.csv").duration_s == pytest.approx(20.0, abs=0.3)
+
+
+def test_parts_of_a_day() -> None:
+    """Times of a spreadsheet fell into one row, as seconds."""
+    clock = (0.9999 + TRUE / 86400.0) % 1.0  # past midnight
+    found = read_stamps([clock], "t")
+    assert found.kind == "day"
+    np.testing.assert_allclose(found.seconds - found.seconds[0], TRUE, atol=1e-4)
+    with pytest.raises(TimeError, match="may be parts of a day, as spreadsheets write a time, or seconds"):
+        read_stamps([0.5 + np.arange(50) / 8640.0], "t")
+    assert read_stamps([0.001 * np.arange(50)], "t").kind == "own"
 
 
 def test_days_or_seconds_are_asked_for() -> None:

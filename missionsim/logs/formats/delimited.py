@@ -222,6 +222,7 @@ class _File:
         raw = from_arrow(
             pa.Table.from_batches(batches, self.schema), str(self.path), self.lines, first_row, dialect.decimal
         )
+        _refuse_other_order(raw, dialect.names)
         raw.remarks[:0] = dialect.remarks if not first_row else []
         raw.headless, raw.names = dialect.headless, dialect.names
         for name, word in zip(dialect.names, dialect.first, strict=False):
@@ -242,6 +243,18 @@ class _File:
             raise pa.ArrowInvalid(
                 "rows are lost in it: a quotation mark that does not end, or rows of the wrong length"
             )
+
+
+def _refuse_other_order(raw: RawTable, names: Sequence[str]) -> None:
+    """Raise InputError where a column of numbers has the name of another one in a cell: a second header, of a recording
+    whose columns stand in another order."""
+    plain = {name: re.sub(r" (\[[^]]*\]|#\d+)\Z", "", name) for name in names}
+    for name, labels in raw.odd.items():
+        for code, word in enumerate(labels.names):
+            if word.strip() in plain.values() and word.strip() != plain.get(name):
+                line = raw.line(int(np.argmax(labels.codes == code)))
+                told, hint = "a second header, with its columns in another order", f"a file that begins at line {line}"
+                raise InputError(Fault(raw.file, line, 0, told, name, word, "one recording a file", hint))
 
 
 def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fault]:
