@@ -23,8 +23,9 @@ _ALL = np.concatenate([_CODES, _RARE])
 _ALIKE = 1e-7
 """Relative: numbers of four bytes miss a code by this at most."""
 _FEW, _FAR, _LONE = 8, 0.5, 10.0
-"""Values that a column has beside its codes, else it may be a count; times their range that a code lies beside them,
-and one that stands there once or in most rows, or is rare (all assumed)."""
+"""Values that a column has beside its codes, else it may be a count, unless it is far from nought; times their range
+that a code lies beside them, and one that stands there once, in most rows or beside few values, or is rare (all
+assumed)."""
 _LASTS, _JUMPS = 2, 5.0
 """Rows that a code of -1, which lies near what is measured, lasts at most, and times the usual step of the others that
 it jumps by (both assumed)."""
@@ -128,7 +129,8 @@ class Tally:
 
     def found(self) -> Found:
         """The codes of the column."""
-        if len(self.distinct) < _FEW:
+        coarse = len(self.distinct) > 2 and self.high - self.low < 0.5 * min(abs(self.low), abs(self.high))
+        if len(self.distinct) < _FEW and not coarse:
             return []
         return [(code, seen.count, seen.first) for code, seen in sorted(self.met.items()) if self._is_code(code, seen)]
 
@@ -149,7 +151,8 @@ class Tally:
         if code not in _ALL:
             return False
         far = max(self.low - code, code - self.high)
-        usual = 1 < seen.count < 0.5 * self.rows and code in _CODES  # in most rows it may be the limit of a meter
+        # in most rows, or beside few values, it may be the limit of a meter or a state
+        usual = 1 < seen.count < 0.5 * self.rows and code in _CODES and len(self.distinct) >= _FEW
         return far > (self.high - self.low) * (_FAR if usual else _LONE)
 
 

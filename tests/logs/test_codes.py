@@ -168,3 +168,16 @@ def test_a_code_in_most_rows(code: float) -> None:
 
 def test_a_meter_at_its_limit_in_most_rows_stays() -> None:
     assert not without_codes(np.where(SPEED > 0.5, 32.767, (20.0 * SPEED).round(3)))[1]
+
+
+@pytest.mark.parametrize(
+    ("code", "least", "step"), [(65535.0, 24000.0, 100.0), (-9999.0, 24.0, 0.1), (255.0, 20.0, 1.0)]
+)
+@pytest.mark.parametrize("every", [20, 2])
+def test_a_coarse_measurement_has_codes_as_well(code: float, least: float, step: float, every: int) -> None:
+    """A voltage of five values, with -9999 V in one row of twenty, made -13.2 Wh of 0.66."""
+    row = np.arange(N)
+    coarse = least + step * (row // 500)
+    assert [one for one, _, _ in without_codes(np.where(row % every == 1, code, coarse))[1]] == [code]
+    counts = row // 500  # a state, and one that says all
+    assert not without_codes(np.where(row % every == 1, code, counts))[1]
