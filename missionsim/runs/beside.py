@@ -27,7 +27,7 @@ FEWEST_LEVELS = 5
 """Runs whose levels can say what is usual."""
 OFFSET, SCATTER = 0.06, 6.0
 """An offset of one run is told from this part of the mean power on, and this many deviations of all runs (assumed)."""
-LOADS = ("cpu_load", "cpu_freq_hz")
+LOADS = ("cpu_load", "cpu_freq_hz", "access_point_distance_m")
 """Columns of the glossary that may say why one run takes more than the others at rest and in motion alike."""
 ROUGHER, RESTORED = 1.4, 1.2
 """Scatter of a run about what the others say of it, in times theirs, from which on a fault is looked for, and within

@@ -122,3 +122,13 @@ def test_an_offset_of_a_meter(
     monkeypatch.setattr(beside, "_spread", lambda *_: 0.0)
     monkeypatch.setattr(beside, "_explained", lambda *_: False)
     assert (own.runs[-1].run.run in beside.offsets(own)) is told
+
+
+@pytest.mark.parametrize(("column", "explains"), [("access_point_distance_m", True), ("cpu_load", True), ("x_m", False)])
+def test_an_offset_that_a_logged_load_explains(column: str, explains: bool) -> None:
+    """The run far from the access point takes 8 W more, and so would any other that far."""
+    own = others([np.full(400, 10.0)] * 8 + [np.full(400, 18.0)], [1.0] * 9)
+    for i, one in enumerate(own.runs):
+        one.model_w = {"robot": np.full(400, 10.0)}
+        one.run = of_run(i, **{column: (0.9 if i == 8 else 0.3) * (1.1 + WAVE)})
+    assert beside._explained(own.runs[8], own.runs, "robot", 8.0) is explains
