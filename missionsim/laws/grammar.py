@@ -24,6 +24,8 @@ MOST_FACTORS, MOST_LATE = 3, 2
 """The second with a lag among them."""
 NEIGHBOURS = (0, 1, 2, 4, 8, 16)
 """Numbers beside that of a factor that are tried next, by their place from the nearest on."""
+SPLITS = 80
+"""Thresholds between the lowest and the highest at which something may be switched."""
 Values = Callable[[], Sequence[Array]]
 """What gives the values of a factor in every run at its raw rate."""
 
@@ -54,6 +56,11 @@ class Factor:
     """Whether the first number lies between two of those that the logs gave."""
     another: Callable[[float], tuple[Factor, Values]] | None = field(default=None, compare=False, repr=False)
     """The same with another first number, where that may be any."""
+
+    @property
+    def switches(self) -> bool:
+        """Whether it is on from a threshold on, or up to it, and that may be any."""
+        return self.another is not None and re.fullmatch(r"\(\S+ [<>] \S+\)", self.text) is not None
 
 
 @dataclass(frozen=True)
@@ -153,6 +160,22 @@ class Grammar:
                 values.append(found)
                 forms.append((*form[:at], alike[middle], *form[at + 1 :]))
         return replace(self, factors=tuple(factors), values=tuple(values)), forms
+
+    def splits(self, form: Sequence[int]) -> tuple[Grammar, list[list[tuple[int, ...]]]]:
+        """The same form with one of its factors switched on (or off) at any of many thresholds, for each quantity and
+        side; the grammar holds those thresholds too."""
+        factors, values, found = list(self.factors), list(self.values), list[list[tuple[int, ...]]]()
+        for at, i in enumerate(form):
+            sides = [f for f in self.factors if f.variable == self.factors[i].variable and f.switches and not f.halved]
+            for another in dict.fromkeys(f.another for f in sides):
+                ends = [f.numbers[0] for f in sides if f.another is another]
+                thresholds = dict.fromkeys(float(f"{n:.3g}") for n in np.linspace(min(ends), max(ends), SPLITS))
+                more = [another(n) for n in thresholds if another is not None]
+                first = len(factors)
+                factors += [factor for factor, _ in more]
+                values += [value for _, value in more]
+                found.append([(*form[:at], j, *form[at + 1 :]) for j in range(first, len(factors))])
+        return replace(self, factors=tuple(factors), values=tuple(values)), found
 
     def unscreened(self, form: Sequence[int]) -> list[list[tuple[int, ...]]]:
         """The same form with another factor of the same quantity, by kinds that are not its own and of which the first

@@ -272,6 +272,9 @@ class Search:
 
         found = []
         others = [self._coarsely(forms, error) for forms in self.grammar.unscreened(top.form)]
+        # a step is worse than a ramp until its threshold is met, and at a noise that took the steps for its own
+        finer.grammar, splits = self.grammar.splits(top.form)
+        others += [finer._exactly(top, forms, self.ground.usual())[0].form for forms in splits]
         for form in (*unlike[:SHARPENED], *others):
             best = form
             for _ in range(HALVINGS):
@@ -349,10 +352,8 @@ class Search:
         return [f for f, r, b in zip(forms, ratio, best, strict=True) if r < HELPS and b <= limit]
 
     def sized(self, forms: Sequence[tuple[int, ...]]) -> list[NDArray[np.intp]]:
-        return [
-            np.array([f for f in forms if len(f) == size], dtype=np.intp).reshape(-1, size)
-            for size in range(1, len(self.by_size) + 1)
-        ]
+        sizes = range(1, len(self.by_size) + 1)
+        return [np.array([f for f in forms if len(f) == size], dtype=np.intp).reshape(-1, size) for size in sizes]
 
     def _apart(self, ranked: Sequence[Scored]) -> list[Scored]:
         """Forms that do not look like a better one."""
@@ -380,12 +381,12 @@ class Search:
             ranked += more
         return self._exactly(top, ranked)
 
-    def _exactly(self, top: Fitted, some: Sequence[tuple[int, ...]]) -> list[Scored]:
+    def _exactly(self, top: Fitted, some: Sequence[tuple[int, ...]], noise: Noise | None = None) -> list[Scored]:
         forms = list(dict.fromkeys([top.form, *some]))
         x = self.columns(forms)
         level = np.mean(np.abs(x), axis=1)
         rows = np.arange(len(self.ground.design.y))
-        exact = Sieve(self.ground, top.model.noise, rows, 1)
+        exact = Sieve(self.ground, noise or top.model.noise, rows, 1)
         unit = (x / np.where(level > 0.0, level, 1.0)[:, None]).astype(np.float32)
         _, score, information, absorbed = exact(len(forms), lambda some, part: unit[some, part].copy())
         gain = 0.5 * score**2 / np.maximum(information, 1e-300)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,8 @@ from missionsim.laws import adapter, experiment, factors, gates, levels, proposa
 from missionsim.laws.gates import Gates
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
+
+from .found import law_of, run_of
 
 PLAIN = Grammar((Factor("a", "a", "a"), Factor("b", "b", "b")), ())
 
@@ -360,3 +363,25 @@ def test_a_law_moves_the_clock_where_that_is_far_likelier(
     model = Late(source, Clock(0.0, 0.0, (0.0,)), nats)
     ground = adapter.Ground(model, (), ()).on_time([], model)
     assert ground.model.clock.lag_s == (0.3 if moves else 0.0)
+
+
+@pytest.mark.usefixtures("laws_at_once")
+def test_a_fan_is_found_at_the_temperature_that_switches_it() -> None:
+    """On from 47 degC on: at any other threshold a step is worse than a ramp, and the ramp was the answer."""
+    rng, runs = np.random.default_rng(4), []
+    for number in range(6):
+        rows = 1200
+        load, warm = np.repeat(rng.uniform(0.05, 1.0, rows // 40), 40), np.empty(rows)
+        state = 35.0
+        for i, busy in enumerate(load):
+            state += (30.0 + 28.0 * busy - state) / 60.0
+            warm[i] = round(state, 3)
+        speed = np.repeat(rng.uniform(0.0, 1.0, rows // 30), 30)
+        gradient = {"c3": 30.0 * speed, "c4": np.full(rows, 40.0)}
+        costs = 7.0 * (warm > 47.0) + 0.4 * rng.standard_normal(rows)
+        runs.append(run_of(number, gradient, costs, step_s=0.5, speed_m_s=speed, temp_cpu_c=warm))
+    made = law_of(runs, c3=0.05, c4=0.05)
+    step = re.fullmatch(r"k \* \(temp_cpu_c > ([\d.]+)\)", made.first.formula)
+    assert step is not None
+    assert float(step[1]) == pytest.approx(47.0, abs=0.15)
+    assert made.first.k == pytest.approx(7.0, rel=0.05)
