@@ -72,39 +72,40 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
     model, owed = found.model, source.constraints.grid_nats
     # why a candidate was refused is told in the end, whichever step refused it
     refused = dict(found.refused)
-    options: list[tuple[float, Choice]] = []
 
     @cache
     def anew(chosen: tuple[int, ...]) -> Model:
         return fit_model(source, chosen)
 
-    for trial in _trials(model, refused):
-        fitted = fit_model(source, trial, model, thorough=False)
-        evidence = weighed(fitted, fitted.chosen)
-        if {gate for e in evidence.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
-            # at the clock and noise of the model without it, most of it may have been taken for either
-            fitted = anew(trial)
+    for trials in _trials(model, refused):
+        options: list[tuple[float, Choice]] = []
+        for trial in trials:
+            fitted = fit_model(source, trial, model, thorough=False)
             evidence = weighed(fitted, fitted.chosen)
-        if all(e.accepted for e in evidence.values()):
-            value = log_likelihood(fitted) - float(np.sum(owed[list(trial)]))
-            options.append((value, Choice(fitted, found.empty, evidence)))
-        else:
-            refused.update({c: e for c, e in evidence.items() if c not in model.chosen and not e.accepted})
-    # of twins, which differ by rounding, the one that the library has first, on every machine
-    for _, best in sorted(options, key=lambda one: (-round(one[0], 6), one[1].model.chosen)):
-        # the noise without an effect had swallowed it, and a fit that begins there may stay there
-        fresh = anew(best.model.chosen)
-        if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
-            best = replace(best, model=fresh, evidence=weighed(fresh, fresh.chosen))
-        # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
-        # a constant friction over; and the effect itself is asked again there
-        new = set(best.model.chosen) - set(model.chosen)
-        bent, _ = refit_shapes(best, new, limited=False)
-        failed = {k: e for k, e in bent.evidence.items() if not e.accepted}
-        if not failed:
-            bent.refused.update(refused)
-            return bent
-        refused.update({k: e for k, e in failed.items() if k in new})
+            if {gate for e in evidence.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
+                # at the clock and noise of the model without it, most of it may have been taken for either
+                fitted = anew(trial)
+                evidence = weighed(fitted, fitted.chosen)
+            if all(e.accepted for e in evidence.values()):
+                value = log_likelihood(fitted) - float(np.sum(owed[list(trial)]))
+                options.append((value, Choice(fitted, found.empty, evidence)))
+            else:
+                refused.update({c: e for c, e in evidence.items() if c not in model.chosen and not e.accepted})
+        # of twins, which differ by rounding, the one that the library has first, on every machine
+        for _, best in sorted(options, key=lambda one: (-round(one[0], 6), one[1].model.chosen)):
+            # the noise without an effect had swallowed it, and a fit that begins there may stay there
+            fresh = anew(best.model.chosen)
+            if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
+                best = replace(best, model=fresh, evidence=weighed(fresh, fresh.chosen))
+            # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off
+            # leaves a constant friction over; and the effect itself is asked again there
+            new = set(best.model.chosen) - set(model.chosen)
+            bent, _ = refit_shapes(best, new, limited=False)
+            failed = {k: e for k, e in bent.evidence.items() if not e.accepted}
+            if not failed:
+                bent.refused.update(refused)
+                return bent
+            refused.update({k: e for k, e in failed.items() if k in new})
     found.refused.update(refused)
     return None
 
@@ -123,8 +124,9 @@ def confirmed(choice: Choice) -> Choice:
     return choice
 
 
-def _trials(model: Model, refused: dict[int, Evidence]) -> list[tuple[int, ...]]:
-    """Sets that are worth a fit with a noise of their own: the best single additions, and the best set of that size."""
+def _trials(model: Model, refused: dict[int, Evidence]) -> list[list[tuple[int, ...]]]:
+    """Sets that are worth a fit with a noise of their own: the best single additions and the best set of that size, and
+    the next additions, for the case that none of those passes."""
     constraints = model.constraints
     # what the model lacks looks like outliers to it, so that their weights would hide what is loudest
     gram = make_gram(model.design, without_outliers(model.design, model.noise))
@@ -150,15 +152,15 @@ def _trials(model: Model, refused: dict[int, Evidence]) -> list[tuple[int, ...]]
                     passed={"practical": False},
                 )
             continue
-        if best and gains[k] < CLOSE * gains[best[0]]:
-            break
         best.append(k)
-    trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in best[:TRIED]]
+    close = [k for k in best[:TRIED] if gains[k] >= CLOSE * gains[best[0]]]
+    further = best[len(close) : len(close) + TRIED]
+    trials = [(*model.chosen, k) for k in close]
     if trials and model.chosen:
         swapped = best_set(gram, constraints, len(model.chosen) + 1, trials[0])
         if set(swapped) not in [set(t) for t in trials]:
             trials.append(swapped)
-    return trials
+    return [trials, [(*model.chosen, k) for k in further]]
 
 
 def forced(source: Source, effects: Sequence[str]) -> Choice:

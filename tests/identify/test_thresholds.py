@@ -26,16 +26,16 @@ def constraints(*covariates: str) -> Constraints:
 
 
 @pytest.mark.parametrize(
-    ("gains", "shares", "tried", "glanced"),
+    ("gains", "shares", "tried", "then", "glanced"),
     [
-        ((1.9,), (0.05,), [], []),  # of 4.1 nats needed
-        ((2.4,), (0.05,), [0], []),
-        ((100.0,), (0.0034,), [], [0]),  # of a least share of 0.0065
-        ((100.0,), (0.0045,), [0], []),
-        ((100.0, 55.0), (0.05, 0.05), [0], []),
-        ((100.0, 65.0), (0.05, 0.05), [0, 1], []),
-        ((100.0, 95.0, 90.0), (0.05, 0.05, 0.05), [0, 1], []),
-        ((100.0, 95.0, 90.0), (0.003, 0.05, 0.05), [1, 2], [0]),
+        ((1.9,), (0.05,), [], [], []),  # of 4.1 nats needed
+        ((2.4,), (0.05,), [0], [], []),
+        ((100.0,), (0.0034,), [], [], [0]),  # of a least share of 0.0065
+        ((100.0,), (0.0045,), [0], [], []),
+        ((100.0, 55.0), (0.05, 0.05), [0], [1], []),
+        ((100.0, 65.0), (0.05, 0.05), [0, 1], [], []),
+        ((100.0, 95.0, 90.0), (0.05, 0.05, 0.05), [0, 1], [2], []),
+        ((100.0, 95.0, 90.0), (0.003, 0.05, 0.05), [1, 2], [], [0]),
     ],
 )
 def test_what_is_worth_a_fit_with_a_noise_of_its_own(
@@ -43,6 +43,7 @@ def test_what_is_worth_a_fit_with_a_noise_of_its_own(
     gains: tuple[float, ...],
     shares: tuple[float, ...],
     tried: list[int],
+    then: list[int],
     glanced: list[int],
 ) -> None:
     size, share = 2.0 * np.array(gains) / np.square(shares), np.array(shares)
@@ -52,7 +53,7 @@ def test_what_is_worth_a_fit_with_a_noise_of_its_own(
     monkeypatch.setattr(stepwise, "make_gram", lambda *_: gram)
     monkeypatch.setattr(stepwise, "without_outliers", lambda *_: None)
     model = SimpleNamespace(constraints=constraints(*["c"] * len(gains)), chosen=(), gram=gram, design=None, noise=None)
-    assert stepwise._trials(model, refused) == [(k,) for k in tried]
+    assert stepwise._trials(model, refused) == [[(k,) for k in some] for some in (tried, then)]
     assert list(refused) == glanced
 
 

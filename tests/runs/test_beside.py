@@ -124,7 +124,9 @@ def test_an_offset_of_a_meter(
     assert (own.runs[-1].run.run in beside.offsets(own)) is told
 
 
-@pytest.mark.parametrize(("column", "explains"), [("access_point_distance_m", True), ("cpu_load", True), ("x_m", False)])
+@pytest.mark.parametrize(
+    ("column", "explains"), [("access_point_distance_m", True), ("cpu_load", True), ("x_m", False)]
+)
 def test_an_offset_that_a_logged_load_explains(column: str, explains: bool) -> None:
     """The run far from the access point takes 8 W more, and so would any other that far."""
     own = others([np.full(400, 10.0)] * 8 + [np.full(400, 18.0)], [1.0] * 9)
