@@ -46,9 +46,9 @@ def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
         wider = Search(search.ground, search.grammar.with_levels(name, parts), search.memory)
         form = (*form, len(factors))
         law = wider.fit(form, fitted.model.noise)
-        if law.errors.with_law > LEAST_BETTER * fitted.errors.with_law:
-            continue
-        return wider, Searched(law, tuple(wider.near(law, wider.sized([form]))))
+        near = tuple(wider.near(law, wider.sized([form])))
+        if near and law.errors.with_law <= LEAST_BETTER * fitted.errors.with_law:
+            return wider, Searched(law, near)
     return None
 
 

@@ -254,8 +254,8 @@ class Search:
         if not fits:
             return finer, done
         best = min(fits, key=lambda fit: fit.errors.with_law)
-        forms = [one.form for one in done.near] + [fit.form for fit in fits]
-        return finer, Searched(best, tuple(finer._exactly(best, forms)))
+        near = tuple(finer._exactly(best, [*(one.form for one in done.near), *(fit.form for fit in fits)]))
+        return finer, Searched(best, near) if near else done
 
     def _halved(self, top: Fitted, near: Sequence[Scored]) -> tuple[Search, list[tuple[int, ...]]]:
         """The best forms of different kinds with the numbers at which left-out runs err least, found by halving the way
@@ -274,7 +274,7 @@ class Search:
         others = [self._coarsely(forms, error) for forms in self.grammar.unscreened(top.form)]
         # a step is worse than a ramp until its threshold is met, and at a noise that took the steps for its own
         finer.grammar, splits = self.grammar.splits(top.form)
-        others += [finer._exactly(top, forms, self.ground.usual())[0].form for forms in splits]
+        others += [one[0].form for forms in splits if (one := finer._exactly(top, forms, self.ground.usual()))]
         for form in (*unlike[:SHARPENED], *others):
             best = form
             for _ in range(HALVINGS):

@@ -385,3 +385,12 @@ def test_a_fan_is_found_at_the_temperature_that_switches_it() -> None:
     assert step is not None
     assert float(step[1]) == pytest.approx(47.0, abs=0.15)
     assert made.first.k == pytest.approx(7.0, rel=0.05)
+
+
+def test_numbers_at_whose_noise_no_form_is_left_are_none() -> None:
+    """Constant loads beside each other: every form had the wrong sign at the noise of the sharpened one."""
+    sharp = SimpleNamespace(form=(1,), rise=9.0, errors=SimpleNamespace(with_law=1.0))
+    finer = SimpleNamespace(fit=lambda *_: sharp, _exactly=lambda *_: [])
+    top = SimpleNamespace(form=(0,), rise=5.0, errors=SimpleNamespace(with_law=2.0), model=SimpleNamespace(noise=None))
+    done = search.Searched(top, (Scored((0,), 9.0, 0.1, 7.0),))
+    assert Search.sharpened(SimpleNamespace(_halved=lambda *_: (finer, [(1,)])), done)[1] is done
