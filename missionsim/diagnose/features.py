@@ -43,6 +43,8 @@ CHARGED = 0.005
 STEADY = 0.03
 """Relative standard deviation of a voltage below which losses with P² and with (P/U)² are one: a loss of a tenth then
 differs by 0.6 % of the power."""
+CAUSES = ("payload_kg", "temp_ambient_c", "cpu_load", "cpu_freq_hz", "access_point_distance_m")
+"""Columns of which logs that hold one value of them tell nothing."""
 SAME_METER = 0.999
 """Correlation with the measured power from which on a column of watts is that power once more, not a load."""
 
@@ -121,12 +123,20 @@ def make_features(
     if len(surfaces) == 1:
         remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
     floors = surfaces if 1 < len(surfaces) <= MOST_SURFACES else ()
+    steady_causes = []
+    for name in (one for one in CAUSES if one in names):
+        values = np.concatenate([np.asarray(cov[name], dtype=float) for cov in covariates])
+        if np.ptp(values) == 0.0:
+            steady_causes.append(name)
+            if values[0]:
+                remarks.append(f"{name} is {values[0]:g} in every row: what goes with it is part of the base")
     untestable: dict[str, tuple[str, ...]] = {}
     effects: dict[str, Effect] = {}
     for effect in (*all_effects(tuple(components), floors, tuple(watts), battery), *own):
         if effect.id in held or effect.execution:
             continue
-        lacking = tuple(dict.fromkeys(logged_name(name) for name in effect.needs if name not in names))
+        lacks = (name for name in effect.needs if name not in names or name in steady_causes)
+        lacking = tuple(dict.fromkeys(map(logged_name, lacks)))
         if lacking:
             untestable[effect.id] = lacking
         else:

@@ -63,12 +63,13 @@ def test_twins_of_base_parameters_have_a_free_sign(model: PowerModel) -> None:
 
 
 def test_columns_are_the_contract_s_formulas(model: PowerModel) -> None:
-    log = drive(3, slope_rad=np.full(420, 0.05), payload_kg=np.full(420, 4.0))
+    load = np.repeat([4.0, 5.0], 210)
+    log = drive(3, slope_rad=np.full(420, 0.05), payload_kg=load)
     run = features(model, log).runs[0]
     v, w = np.asarray(log.columns["speed_m_s"]), np.asarray(log.columns["yaw_rate_rad_s"])
     np.testing.assert_allclose(run.columns["turning_scrub"], np.abs(w))
-    np.testing.assert_allclose(run.columns["payload"], 4.0 * v)
-    np.testing.assert_allclose(run.columns["grade"], (25.0 + 4.0) * 9.80665 * v * np.sin(0.05), rtol=1e-9)
+    np.testing.assert_allclose(run.columns["payload"], load * v)
+    np.testing.assert_allclose(run.columns["grade"], (25.0 + load) * 9.80665 * v * np.sin(0.05), rtol=1e-9)
     np.testing.assert_allclose(run.columns["conversion_loss"], run.base_w**2)
 
 
@@ -191,6 +192,15 @@ def test_a_steady_voltage_does_not_tell_two_losses_apart(model: PowerModel, spre
     assert ("battery_resistance" in effects_of(model, *runs)) is apart
     told = "voltage_robot_v hardly changes: what a resistance of the battery takes is conversion_loss there"
     assert (told in make_features(model, runs, "robot").remarks) is not apart
+
+
+@pytest.mark.parametrize(("other", "told"), [(64.4, True), (64.5, False)])
+def test_a_temperature_of_one_value_tells_nothing(model: PowerModel, other: float, told: bool) -> None:
+    """It was called cold friction, in a car of which rolling costs more than its file says."""
+    runs = [drive(i, seconds=60.0, temp_ambient_c=np.full(60, value)) for i, value in enumerate((64.4, other))]
+    made = make_features(model, runs, "robot")
+    assert (made.untestable.get("temperature_friction") == ("temp_ambient_c",)) is told
+    assert ("temp_ambient_c is 64.4 in every row: what goes with it is part of the base" in made.remarks) is told
 
 
 @pytest.mark.parametrize(("r", "load"), [(0.9985, True), (0.9993, False)])
