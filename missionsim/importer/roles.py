@@ -247,6 +247,19 @@ def guess_all(fields: Sequence[Field]) -> dict[str, Guess]:
     return found
 
 
+def inner_name(name: str) -> str:
+    """A field without its topic or file, unless what is left says nothing (``/battery/voltage.data``), or is a letter
+    that is a unit in a message of a meter (``battery.v``)."""
+    topic = re.match(
+        r"(/[^.\[]+(?:\[[^\]]+\])?|(?!linear\.|angular\.)[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", name
+    )
+    inner = name[topic.end() :] if topic else name
+    letter = re.fullmatch(r"[a-z]", inner) and re.search(
+        WORDS["patterns"]["meter"], words_of(name[: -len(inner) - 1])[0]
+    )
+    return name if inner in ("data", "value") or letter else inner
+
+
 def guess_role(field: Field, role: Role) -> Guess | None:
     """How well a field fits a role; None where it does not."""
     known, text = column_of(field.name), isinstance(field.values, Labels)
@@ -255,20 +268,16 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     if known is not None and not ("<" in known[0].name and re.search(role.avoid, known[1].replace("_", " "))):
         own = WORDS["columns"].get(known[0].name)
         return Guess(role.name, field.name, "", 3.0, "a name of the glossary", "sure") if own == role.name else None
-    words, unit = words_of(field.name)
+    words = words_of(field.name)[0]
+    inner = inner_name(field.name)
+    tail, unit = words_of(inner)
     typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")
     if not unit and role.name in ("left", "right") and re.search(r"\brpm\b", words):
         unit = "rpm"
     of_type = typical != "" and field.name.endswith(typical)
     unit = typical_unit if of_type and typical_unit else unit
     dimension = UNITS[unit][0] if unit else ""
-    # a field without its topic or file, unless all that is left says nothing (``/battery/voltage.data``)
-    topic = re.match(
-        r"(/[^.\[]+(?:\[[^\]]+\])?|(?!linear\.|angular\.)[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", field.name
-    )
-    inner = field.name[topic.end() :] if topic else field.name
-    tail = words_of(field.name if inner in ("data", "value") else inner)[0]
-    named = re.search(role.words, tail) is not None or (words == "" and dimension == role.dimension != "")
+    named = re.search(role.words, tail) is not None or (tail == "" and dimension == role.dimension != "")
     if role.name == "time":
         return _as_time(field, words, unit, named)
     if text != (role.dimension == "text") or folded(field) not in (None, "constant"):
@@ -287,9 +296,9 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     numbers = np.asarray(field.values)
     values = np.abs(numbers[np.isfinite(numbers)])
     large = float(np.quantile(values, 0.95)) if len(values) else 0.0
-    if words == "" and large > role.high:
+    if tail == "" and large > role.high:
         unit, own_dimension = "", False  # a column that is called V holds millivolts
-    if role.name == "speed" and not unit and re.match(r"V(?![a-z])", field.name):
+    if role.name == "speed" and not unit and re.match(r"V(?![a-z])", inner):
         return None  # volts
     score = 1.0 * named + 0.8 * own_dimension
     reasons = ["the name"] * named + [f"its unit {unit}"] * own_dimension

@@ -24,6 +24,7 @@ def suggest(draft: Draft) -> None:
     dead = _leave_out_dead_twists(draft)
     speed = _speed(draft)
     _plain(draft, "yaw_rate", "x", "y", "slope")
+    _turn_beside(draft)
     _attitude(draft, speed)
     if dead and "yaw_rate_rad_s" not in draft.columns and "heading_rad" in draft.columns:
         guess = replace(draft.columns["heading_rad"][1], role="yaw_rate", why="rate of the heading")
@@ -44,6 +45,19 @@ def suggest(draft: Draft) -> None:
         _plain(draft, "heading")
     if not speed:
         draft.remarks.append("no speed was found: only what stands still can be explained without one")
+
+
+def _turn_beside(draft: Draft) -> None:
+    """The turn rate where it is called ``w`` beside a speed that is called ``v``, and goes both ways."""
+    name = re.sub(r"(?<![A-Za-z])v\Z", "w", draft.columns["speed_m_s"][1].field if "speed_m_s" in draft.columns else "")
+    one = draft.fields.get(name)
+    if not name.endswith("w") or one is None or isinstance(one.values, Labels) or name in draft.signals.values():
+        return
+    known = one.values[np.isfinite(one.values)]
+    fastest = float(WORDS["sizes"]["yaw rate"][""])
+    if len(known) and known.min() < 0.0 < known.max() and float(np.quantile(np.abs(known), 0.95)) < fastest:
+        guess = Guess("yaw_rate", name, "", 0.6, "w beside v", "a guess")
+        draft.column("yaw_rate_rad_s", _moving(draft, name, "turn"), guess)
 
 
 _WINDOW = "5 s"

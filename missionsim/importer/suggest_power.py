@@ -44,6 +44,7 @@ def suggest(draft: Draft) -> None:
     power = _all_sides(draft, power)
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
+    volts.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")
     if not power and amps:
         volts = sum_of_cells(draft, volts)
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
