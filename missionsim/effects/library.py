@@ -210,15 +210,20 @@ def logged_power_effect(column: str) -> Effect:
     )
 
 
-_OWN_WATTS = frozenset(("drive_w", "traction_w", "load_w", "measured_w", "base_w"))
-_WHOLE = frozenset(("total", "battery", "batt", "pack", "bus", "sum"))
+_OWN_WATTS = frozenset(("load_w", "measured_w", "base_w"))
+_WHOLE = frozenset(
+    (
+        *("total", "battery", "batt", "pack", "bus", "sum", "motor", "motors", "drive", "drives", "traction", "wheel"),
+        *("wheels", "propulsion", "engine", "inverter", "mech", "mechanical", "regen", "brake"),
+    )
+)
 
 
 def logged_power_columns(names: Iterable[str], batteries: Sequence[str]) -> tuple[str, ...]:
     """Columns that hold watts of something beside the batteries: what may be a `logged_power`.
 
     The name ends in ``_w`` or ``_kw``, is no column of the glossary (``power_<x>_w`` is one where the robot has a
-    battery x), and has no word for the whole (total, battery, pack, bus, sum).
+    battery x), and has no word for the whole (total, battery, bus, …) or for the drive.
     """
     found = []
     for name in sorted(names):

@@ -99,7 +99,7 @@ _MOVES = frozenset(
     )
 )
 """Both: words of a motion that was asked for. It costs what the motion costs that follows."""
-_ELECTRICAL = frozenset(("power", "current", "currents", "amp", "amps"))
+_ELECTRICAL = frozenset(("power", "pwr", "watt", "watts", "current", "currents", "amp", "amps"))
 _NO_PART = frozenset(
     (
         *("w", "kw", "mw", "a", "ma", "mean", "avg", "average", "raw", "filtered", "max", "min", "peak", "rms"),

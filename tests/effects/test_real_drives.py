@@ -223,7 +223,7 @@ def test_logged_watts_pass_through() -> None:
 def test_columns_of_watts_are_recognised_by_their_names() -> None:
     names = [
         *("heating_w", "aircon_kw", "power_arm_w", "power_robot_w", "total_w", "battery_power_w", "drive_w"),
-        *("w", "speed"),
+        *("w", "speed", "motor_pwr_w", "left_wheel_power_w"),
     ]
     assert logged_power_columns(names, ("robot",)) == ("aircon_kw", "heating_w", "power_arm_w")
 
@@ -308,10 +308,10 @@ def test_loads_that_are_logged_beside_are_candidates() -> None:
     assert "logged_power:heater_w" in ids
     assert "logged_power:nothing_w" not in ids
     again = stop_and_go(4, 0.0)
-    again = stop_and_go(4, 0.0, motors_w=again.power_w["robot"] * 1.01)
+    again = stop_and_go(4, 0.0, supply_w=again.power_w["robot"] * 1.01)
     found = features(again)
     assert not any(c.effect.startswith("logged_power") for c in found.candidates)
-    assert any("motors_w follows the measured power" in remark for remark in found.remarks)
+    assert any("supply_w follows the measured power" in remark for remark in found.remarks)
 
 
 def test_a_steady_voltage_tells_no_resistance() -> None:

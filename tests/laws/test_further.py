@@ -113,6 +113,7 @@ def test_what_is_above_nought_is_no_second_form_of_what_never_falls_below() -> N
         *("power", "power_w", "current_a", "amps", "power_arm_w", "current_robot_a", "battery_current", "pack_power_w"),
         *("charging_current_a", "charge_current", "state_of_charge", "soc", "voltage", "arm_voltage_v", "total_power"),
         *("left_motor_current", "wheel_power_w", "drive_power", "energy_arm", "mean_current_a", "dc_power"),
+        "motor_pwr_w",
         *("cmd_speed_m_s", "speed_cmd", "cmd_vel_linear_x", "target_yaw_rate_rad_s", "steering_setpoint_rad"),
         *("gps_hdop", "longitude", "num_satellites", "position_covariance"),
     ],
