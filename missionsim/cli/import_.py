@@ -61,8 +61,8 @@ def import_(
     Returns
     -------
     int
-        0 when everything was read, 1 when a file was left out, is damaged or has times of which a tenth are wrong, or a
-        suggestion has no power or no time.
+        0 when everything was read, 1 when a file was left out or has an error that is told (it is damaged, times are
+        wrong, units contradict each other), or a suggestion has no power or no time.
     """
     if not sources:
         raise InputError.single("no file was given", allowed="missionsim import FILE…")
@@ -146,7 +146,7 @@ def _told(
     if left_out and to.text:
         names = sorted({fault.file for fault in left_out})
         print(f"left out: {', '.join(names)} ({len(names)} of {len(names) + len({log.source for log in logs})} files)")
-    return 1 if left_out or any(_lost(remark) for log in logs for remark in log.remarks) else 0
+    return 1 if left_out or any(remark.severity == "error" for log in logs for remark in log.remarks) else 0
 
 
 def _lost(remark: Remark) -> bool:

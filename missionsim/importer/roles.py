@@ -70,7 +70,8 @@ def words_of(name: str) -> tuple[str, str]:
     ):
         return f"time {text[match.end() :].lower()}".strip(), known_unit(match[1].lower())
     if match := re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*(?:#\d+)?\Z", text):
-        unit = known_unit(match[1]) or _by_pint(match[1])
+        index = re.search(r"\w\[\d+\]\Z", text)  # ``q[1]``
+        unit = "" if index else known_unit(match[1]) or _by_pint(match[1])
         if unit or not re.fullmatch(r"\w+", match[1]):
             text = text[: match.start()]
     if not unit and (match := _PER.search(text)):  # meters_per_sec

@@ -10,6 +10,7 @@ import numpy as np
 
 from missionsim.importer.roles import Field, Guess, size_of, words_of
 from missionsim.logs.clean import without_resets
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
@@ -146,3 +147,47 @@ def sum_of_cells(draft: Draft, volts: list[Guess]) -> list[Guess]:
     total = np.sum([draft.values(one.field) for one in alike], axis=0)
     draft.fields["cells_v"] = Field("cells_v", len(total), total)
     return [replace(first, field="cells_v", sure="a guess", why=f"the sum of {len(alike)} cells"), *volts]
+
+
+def sum_of_currents(draft: Draft, volts: Guess, amps: Guess) -> Guess:
+    """All currents whose names differ in a number alone, with a question, where they have one voltage together; else
+    the others are told."""
+    alike = [name for name in draft.fields if re.sub(r"\d", "#", name) == re.sub(r"\d", "#", amps.field)]
+    levels = [name for name in draft.fields if re.sub(r"\d", "#", name) == re.sub(r"\d", "#", volts.field)]
+    if len(alike) < 2:
+        return amps
+    if not draft.direct or len(levels) > 1:
+        others = ", ".join(name for name in alike if name != amps.field)
+        draft.remarks.append(f"there are more currents, which were not added: {others}")
+        return amps
+    draft.missing.append(
+        f"{len(alike)} currents were added up: is each that of another part of what the battery feeds?"
+    )
+    draft.let["currents"] = " + ".join(draft.ref(name, f"amps_{i}") for i, name in enumerate(alike, 1))
+    total = np.sum([draft.values(name) for name in alike], axis=0)
+    draft.fields["currents"] = Field("currents", len(total), total)
+    return replace(amps, field="currents", sure="a guess", why=f"the sum of {', '.join(alike)}")
+
+
+def delivered(draft: Draft) -> Array | None:
+    """What the battery delivers by the columns that were chosen; None where these are of several sources."""
+    guesses = {name: draft.columns[name][1] for name in ("power_robot_w", *_PAIR) if name in draft.columns}
+    values = [draft.values(one.field, one.unit) for one in guesses.values() if one.field in draft.fields]
+    if "power_robot_w" in guesses:
+        return values[0] if len(values) == len(guesses) else None
+    return values[0] * values[1] if len(values) == 2 and len(values[0]) == len(values[1]) else None
+
+
+_PAIR = ("voltage_robot_v", "current_robot_a")
+_FOLLOWS = 0.9
+"""Correlation from which on a motor's power is that of the battery again (assumed)."""
+
+
+def follows(part: Array, total: Array | None) -> bool:
+    """Whether a power goes with another one, so that it is no consumer of its own."""
+    if total is None or len(total) != len(part):
+        return False
+    both = np.isfinite(total) & np.isfinite(part)
+    if both.sum() < 20 or not np.ptp(part[both]) or not np.ptp(total[both]):
+        return False
+    return float(np.corrcoef(part[both], total[both])[0, 1]) > _FOLLOWS

@@ -34,7 +34,8 @@ _ROLES = (
 """What tells the power again, or where and when it was."""
 _NO_CAUSE = re.compile(
     r"\b(soc|charge|charging|percent\w*|battery|batt?|capacity|seq\w*|index|ids?|count\w*|frame|row|nr|no|lat\w*|lon\w*"
-    r"|gps|utm|stamp\w*|header|layout|covariance|quat\w*|orientation|status|state|mode|errors?|valid|checksum|crc)\b"
+    r"|gps|utm|stamp\w*|header|layout|covariance|quat\w*|q ?[0-3]|orientation|status|state|mode|errors?|valid|checksum"
+    r"|crc)\b"
 )
 _USUAL = re.compile(
     r"(sensor|nav|geometry|tf2?|diagnostic|rosgraph|lifecycle|trajectory|visualization|action|control|stereo|shape)_?msgs/"

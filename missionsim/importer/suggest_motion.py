@@ -12,8 +12,9 @@ import numpy as np
 from missionsim.importer import transform
 from missionsim.importer.roles import WORDS, Field, Guess, size_of, words_of
 from missionsim.importer.sources import identifier
+from missionsim.importer.suggest_energy import delivered, follows
+from missionsim.importer.suggest_wheels import from_wheels, numbered_wheels, path_of
 from missionsim.labels import Labels
-from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
@@ -23,7 +24,7 @@ def suggest(draft: Draft) -> None:
     """Add the columns of motion to a draft, as far as they are seen."""
     dead = _leave_out_dead_twists(draft)
     speed = _speed(draft)
-    _plain(draft, "yaw_rate", "x", "y", "slope")
+    _plain(draft, "yaw_rate", *(() if _in_degrees(draft) else ("x", "y")), "slope")
     _turn_beside(draft)
     _attitude(draft, speed)
     if dead and "yaw_rate_rad_s" not in draft.columns and "heading_rad" in draft.columns:
@@ -42,9 +43,28 @@ def suggest(draft: Draft) -> None:
             Guess("slope", guess.field, "", 0.9, why, "likely"),
         )
     if "heading_rad" not in draft.columns:
-        _plain(draft, "heading")
+        for guess in draft.best("heading", 0.5)[:1]:
+            draft.column("heading_rad", draft.ref(guess.field, "heading"), _heading_unit(draft, guess))
     if not speed:
         draft.remarks.append("no speed was found: only what stands still can be explained without one")
+
+
+def _in_degrees(draft: Draft) -> bool:
+    """Whether positions hardly move while the robot drives, as degrees of latitude and longitude do; told."""
+    guess = draft.columns["speed_m_s"][1] if "speed_m_s" in draft.columns else None
+    x, y = draft.best("x", 0.5), draft.best("y", 0.5)
+    one = draft.fields.get(guess.field) if guess is not None else None
+    time_s = draft.time_s if draft.direct or one is None else one.time_s
+    if guess is None or one is None or not x or not y or time_s is None or len(one.values) != len(time_s):
+        return False
+    driven = float(np.nansum(np.abs(draft.values(one.name, guess.unit))[1:] * np.clip(np.diff(time_s), 0.0, None)))
+    steps = [np.diff(draft.values(axis[0].field, axis[0].unit)) for axis in (x, y)]
+    way = sum(float(np.nansum(np.abs(step))) for step in steps)
+    tiny = 0.0 < way < 1e-3 * driven
+    if tiny:
+        told = f"move by {way:.2g} while {driven:.3g} m are driven: degrees perhaps, so they were not taken"
+        draft.remarks.append(f"'{x[0].field}' and '{y[0].field}' {told}")
+    return tiny
 
 
 def _turn_beside(draft: Draft) -> None:
@@ -62,6 +82,26 @@ def _turn_beside(draft: Draft) -> None:
 
 _WINDOW = "5 s"
 """Over which a climb and the way driven are compared: over longer ones the slopes of a trip are flattened."""
+
+
+def _heading_unit(draft: Draft, guess: Guess) -> Guess:
+    """Unit of a heading whose name has none and which goes on over several turns, by the turn rate."""
+    turn = draft.columns["yaw_rate_rad_s"][1] if "yaw_rate_rad_s" in draft.columns else None
+    if turn is None or turn.field not in draft.fields or "its unit" in guess.why or guess.score >= 3.0:
+        return guess
+    heading, rate = draft.fields[guess.field], np.abs(draft.values(turn.field, turn.unit))
+    time_s = draft.time_s if draft.direct else heading.time_s
+    if time_s is None or not len(time_s) == len(rate) == len(heading.values):
+        return guess
+    known = np.isfinite(time_s) & np.isfinite(rate) & np.isfinite(np.asarray(heading.values))
+    turned = float(np.abs(np.diff(np.asarray(heading.values)[known])).sum())
+    ratio = turned / max(float(np.trapezoid(rate[known], time_s[known])), 1e-9)
+    for unit, told, size in (("", "radians", 1.0), ("deg", "degrees", np.degrees(1.0))):
+        if 0.7 < ratio / size < 1.4:
+            return replace(guess, unit=unit, sure="likely", why=f"the name, {told} as '{turn.field}' turns by them")
+    return guess
+
+
 _MOVED_M = 0.5
 """A pose that reaches farther has moved."""
 
@@ -90,9 +130,21 @@ def _moving(draft: Draft, name: str, alias: str) -> str:
     return ref
 
 
+def _is_set(one: Field) -> bool:
+    """Whether a number is set now and then, as what is commanded for a whole run, and not measured."""
+    values = np.asarray(one.values, dtype=np.float64)
+    known = values[np.isfinite(values)]
+    changes = np.count_nonzero(np.diff(known))
+    return bool(changes < _SET * len(known) and len(np.unique(known)) <= 10)
+
+
+_SET = 0.002
+"""Part of the rows in which a number that is set changes at most (assumed)."""
+
+
 def _speed(draft: Draft) -> str:
     """The forward speed; the reference or formula of it, empty where there is none."""
-    found = draft.best("speed", 0.5)
+    found = sorted(draft.best("speed", 0.5), key=lambda guess: _is_set(draft.fields[guess.field]))
     if found and found[0].field.endswith("state.speed") and f"{found[0].field[:-5]}duty_cycle" in draft.fields:
         told = (
             "is the electrical rpm of a motor: divide it by the pairs of poles, the gear and 60, times the wheel's way"
@@ -113,9 +165,11 @@ def _speed(draft: Draft) -> str:
         guess = _speed_unit(draft, found[0])
         draft.column("speed_m_s", _moving(draft, guess.field, "v"), guess)
     elif draft.best("left", 0.5) and draft.best("right", 0.5):
-        _wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
+        from_wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
+    elif draft.direct and (wheels := numbered_wheels(draft)):
+        from_wheels(draft, *wheels)
     elif draft.direct and (wheel := draft.best("wheel", 0.5)):
-        _wheels(draft, wheel[0])
+        from_wheels(draft, wheel[0])
     else:
         _from_way(draft)
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
@@ -162,7 +216,7 @@ def _speed_unit(draft: Draft, guess: Guess) -> Guess:
         return guess
     time, speed = draft.time_s, np.abs(np.asarray(draft.fields[guess.field].values, dtype=np.float64))
     ways = [(f"'{far.field}' grows", draft.values(far.field, far.unit)) for far in draft.best("distance", 0.3)]
-    if path := _path(draft):
+    if path := path_of(draft):
         ways.append(("the positions move", path[1]))
     for told, grown in ways:
         known = np.isfinite(time) & np.isfinite(speed) & np.isfinite(grown)
@@ -176,29 +230,6 @@ def _speed_unit(draft: Draft, guess: Guess) -> Guess:
     return guess
 
 
-def _stride(time_s: Array) -> int:
-    """Rows of a second: positions are rough from row to row."""
-    return max(1, round(1.0 / max(float(np.median(np.diff(time_s))), 1e-3)))
-
-
-def _path(draft: Draft) -> tuple[tuple[Guess, Guess], Array] | None:
-    """Guesses for x and y, and the path so far [m], from positions a second apart; None where there are none."""
-    x, y = draft.best("x", 0.5), draft.best("y", 0.5)
-    time_s = draft.time_s if draft.direct or not x else draft.fields[x[0].field].time_s
-    if not x or not y or time_s is None:
-        return None
-    px, py = draft.values(x[0].field, x[0].unit), draft.values(y[0].field, y[0].unit)
-    if len(px) != len(py):
-        return None  # of two topics
-    known = np.isfinite(px) & np.isfinite(py) & np.isfinite(time_s)
-    t = time_s[known]
-    if len(t) < 20 or (np.diff(t) < 0).any():
-        return None
-    stride = _stride(t)
-    steps = np.hypot(np.diff(px[known][::stride]), np.diff(py[known][::stride]))
-    return (x[0], y[0]), np.interp(time_s, t[::stride], np.r_[0.0, np.cumsum(steps)])
-
-
 def _from_way(draft: Draft) -> None:
     """The speed as the rate of an odometer, or of positions; its sign is lost."""
     for guess in draft.best("distance", 0.5) if draft.direct else ():
@@ -209,58 +240,13 @@ def _from_way(draft: Draft) -> None:
             told = replace(guess, unit="", sure="likely", why=f"rate of '{guess.field}', without its sign")
             draft.columns["speed_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
             return
-    if path := _path(draft):
+    if path := path_of(draft):
         told = replace(path[0][0], unit="", sure="likely", why="rate of the positions, without its sign")
         for axis, guess in zip("xy", path[0], strict=True):
             ref = _moving(draft, guess.field, axis)
             draft.columns[f"_v{axis}_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
             draft.column(f"{axis}_m", ref, guess)
         draft.column("speed_m_s", "hypot(_vx_m_s, _vy_m_s)", told)
-
-
-def _wheels(draft: Draft, *wheels: Guess) -> None:
-    """The speed by that of both wheels, or of one, and their radius."""
-    refs = [draft.ref(one.field, f"wheel_{side}") for one, side in zip(wheels, ("left", "right"), strict=False)]
-    mean = np.asarray(sum(draft.values(one.field, one.unit) for one in wheels)) / len(wheels)
-    told = "the mean of both wheels" if len(wheels) > 1 else "the wheel"
-    unit = wheels[0].unit if len({one.unit for one in wheels}) == 1 else ""
-    factor = size_of(unit) / len(wheels)
-    formula = f"({' + '.join(refs)})" if len(refs) > 1 else refs[0]
-    if factor != 1.0:
-        formula += f" * {factor:.10g}" if unit else f" / {len(wheels)}"
-    guess = replace(wheels[0], role="speed", unit="", sure="likely")
-    radius = _radius(draft, mean)
-    if radius is None:
-        draft.head["constants"] = "{wheel_radius: RADIUS m}"
-        draft.missing.append("speeds of wheels and no path: put the wheels' radius in the place of RADIUS")
-        guess = replace(guess, sure="a guess", why=f"{told} times the radius, which is not known")
-    elif abs(radius - 1.0) > 0.03:
-        draft.head["constants"] = (
-            f"{{wheel_radius: {radius:.3g} m}}  # fitted: the path of the positions over that of the wheels"
-        )
-        guess = replace(guess, why=f"{told} times a radius that fits the positions")
-    else:
-        draft.column("speed_m_s", formula, replace(guess, why=f"{told}, which fits the positions"))
-        return
-    draft.column("speed_m_s", f"{formula} * wheel_radius", guess)
-
-
-def _radius(draft: Draft, wheel: Array) -> float | None:
-    """Metres of path for each radian (or metre) of the wheels, from positions; None where there are none."""
-    if (found := _path(draft)) is None or draft.time_s is None:
-        return None
-    known = np.isfinite(found[1]) & np.isfinite(wheel)
-    t, path, wheel = draft.time_s[known], found[1][known], np.abs(wheel[known])
-    if len(t) < 50:
-        return None
-    stride = _stride(t)
-    area = np.r_[0.0, np.cumsum(0.5 * (wheel[1:] + wheel[:-1]) * np.diff(t))]
-    turned, way = np.diff(area[::stride]), np.diff(path[::stride])
-    moving = turned > 0.2 * np.quantile(turned, 0.9)
-    if moving.sum() < 20:
-        return None
-    low, middle, high = np.quantile(way[moving] / turned[moving], (0.25, 0.5, 0.75))
-    return float(middle) if 0 < middle < 2.0 and high - low < 0.4 * middle else None
 
 
 def _attitude(draft: Draft, speed: str) -> None:
@@ -270,11 +256,21 @@ def _attitude(draft: Draft, speed: str) -> None:
         match = re.match(r"(.*(?:quat\w*|orientation|rotation)[._]?|.*\bq_?)([xyzw])$", name, re.IGNORECASE)
         if match and not isinstance(one.values, Labels) and "covariance" not in name:
             groups.setdefault(match[1], {})[match[2].lower()] = name
+        match = re.match(r"(.*(?:\b|_)(?:q|quat\w*)_?)\[?([0-3])\]?\Z", name, re.IGNORECASE)
+        if match and not isinstance(one.values, Labels):
+            groups.setdefault(match[1], {})["wxyz"[int(match[2])]] = name
     best = None
     for prefix, found in groups.items():
         if len(found) != 4:
             continue
         x, y, z, w = (draft.values(found[axis]) for axis in "xyzw")
+        if counted := found["w"].rstrip("]").endswith("0"):
+            if "vehicle_attitude" not in prefix:
+                if abs(float(np.nanmedian(x * x + y * y + z * z + w * w)) - 1.0) < 0.02:
+                    told = "are a quaternion, perhaps: `slope_rad: {quaternion: [x, y, z, w], give: slope}` takes one"
+                    draft.remarks.append(f"{', '.join(found.values())} {told}, z up")
+                continue
+            y, z = -y, -z  # of PX4: w first, down is positive
         slope = transform.attitude(x, y, z, w, "slope")
         known = slope[np.isfinite(slope)]
         if not len(known):
@@ -282,18 +278,20 @@ def _attitude(draft: Draft, speed: str) -> None:
         size = float(np.quantile(np.abs(known), 0.95))
         rank = (1e-4 < size < 0.6, "imu" in prefix.lower() or "icp" in prefix.lower())
         if best is None or rank > best[0]:
-            best = (rank, found, size)
+            best = (rank, found, size, counted)
     if best is None:
         return
-    rank, found, size = best
+    rank, found, size, counted = best
     alias = {"x": "qx", "y": "qy", "z": "qz", "w": "qw"}
-    refs = ", ".join(draft.ref(found[axis], alias[axis]) for axis in "xyzw")
+    refs = ", ".join("-" * (counted and axis in "yz") + draft.ref(found[axis], alias[axis]) for axis in "xyzw")
     if rank[0] and "slope_rad" not in draft.columns:
         guess = Guess(
             "slope", found["x"], "", 1.0, f"attitude, up to {np.degrees(size):.2g}°, nose up is uphill", "likely"
         )
         travel = f", travel: {speed}" if speed else ""
         draft.columns["slope_rad"] = (f"{{quaternion: [{refs}], give: slope, average: 1 s{travel}}}", guess)
+    if counted and draft.best("heading", 0.5):
+        return  # beside positions to the north and east
     draft.columns.setdefault(
         "heading_rad",
         (f"{{quaternion: [{refs}], give: heading}}", Guess("heading", found["z"], "", 1.0, "attitude", "likely")),
@@ -312,14 +310,14 @@ def suggest_others(draft: Draft) -> None:
         count = draft.ref(weight.replace("[0].weight", ".count"), "loads")
         payload = Guess("payload", weight, "", 1.0, "the weight of the first load, none without a load", "likely")
         draft.column("payload_kg", f"where({count} > 0, {draft.ref(weight, 'weight')}, 0)", payload)
-    used = {guess.field for _, guess in draft.columns.values()}
+    used, total = {guess.field for _, guess in draft.columns.values()}, delivered(draft)
     for role, end, pattern in (("power", "w", _CONSUMERS), ("current", "a", _FED)):
         for guess in draft.best(role):
             words, _ = words_of(guess.field)
             known = draft.values(guess.field)[np.isfinite(draft.values(guess.field))]
             if guess.field in used or not re.search(pattern, words) or re.search("request|max|min", words):
                 continue
-            if not np.ptp(known):
+            if not np.ptp(known) or (re.search(r"\bmotors?\b", words) and follows(draft.values(guess.field), total)):
                 continue
             factor = size_of(guess.unit)
             name = identifier(words.replace(" ", "_"))

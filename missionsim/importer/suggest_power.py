@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.importer.roles import ROLES, UNITS, Field, Guess, folded, words_of
-from missionsim.importer.suggest_energy import from_charge, from_counter, goes_back, negated, net, sum_of_cells
+from missionsim.importer.suggest_energy import (
+    from_charge,
+    from_counter,
+    goes_back,
+    negated,
+    net,
+    sum_of_cells,
+    sum_of_currents,
+)
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -205,10 +213,8 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
 
 
 def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
+    amps = sum_of_currents(draft, volts, amps)
     sign, why = _sign(draft, volts, amps)
-    one, alike = re.sub(r"\d", "#", amps.field), [name for name in draft.fields if name != amps.field]
-    if more := [name for name in alike if re.sub(r"\d", "#", name) == one]:
-        draft.remarks.append(f"there are more currents, which were not added: {', '.join(more)}")
     v = draft.ref(volts.field, "volts")
     amps, i = net(draft, amps, "amps")
     i = f"({i})" if sign and " " in i else i

@@ -94,3 +94,98 @@ def test_a_turn_rate_is_no_power(tmp_path: Path) -> None:
     made = tmp_path / "made.yaml"
     assert main(["import", *map(str, files), "--suggest", "--out", str(made), "--quiet"]) == 1
     assert "power_robot_w: POWER" in made.read_text()
+
+
+def test_the_power_of_a_motor_that_the_battery_feeds_is_no_consumer_of_its_own(tmp_path: Path) -> None:
+    heat = np.where(T % 20 < 10, 3.0, 0.0)
+    columns = {"t": T, "Speed": V, "Pack Volts": VOLTS, "Pack Amps": (W + heat) / VOLTS}
+    columns |= {"Motor Pwr(w)": 0.9 * W + T % 3 / 9, "Heater Pwr(w)": heat}
+    _, text = suggested(write(tmp_path / "run" / "a.csv", columns))
+    assert "motor_pwr_w:" not in text
+    assert "heater_pwr_w: " in text
+
+
+PITCH = 0.1 * np.sin(T / 9.0)
+YAWS = np.cumsum(YAW) * 0.1
+
+
+@pytest.mark.parametrize("name", ["q[{}]", "q{}", "q_{}"])
+def test_parts_of_a_quaternion_are_no_slope(tmp_path: Path, name: str) -> None:
+    half, turned = PITCH / 2, -YAWS / 2  # down is positive: nose up turns about y, right turns about z
+    parts = (
+        np.cos(half) * np.cos(turned),
+        -np.sin(half) * np.sin(turned),
+        np.sin(half) * np.cos(turned),
+        np.cos(half) * np.sin(turned),
+    )
+    columns = {name.format(index): part for index, part in enumerate(parts)}
+    stamp, run = {"timestamp": (1e6 * (T + 35)).astype(int)}, tmp_path / "run"
+    files = [
+        write(run / "log_1_battery_status_0.csv", {**stamp, "voltage_v": VOLTS, "current_a": W / VOLTS}),
+        write(run / f"log_1_{'vehicle_' * ('[' in name)}attitude_0.csv", {**stamp, **columns}),
+        write(run / "log_1_vehicle_local_position_0.csv", {**stamp, "vx": V, "vy": 0 * V, "heading": -YAWS}),
+    ]
+    log, text = suggested(*files)
+    if "[" in name:  # PX4, which says what they are
+        assert np.abs(log.number("slope_rad") - np.interp(log.time_s, T, PITCH)).max() < 0.02
+        return
+    assert "\n  slope_rad:" not in text
+    assert "are a quaternion, perhaps" in text
+
+
+@pytest.mark.parametrize("steady", [True, False])
+def test_a_speed_that_is_commanded_beside_velocities(tmp_path: Path, steady: bool) -> None:
+    speed = np.where(T < 60, 4.0, 4.0 if steady else 6.0)
+    columns = {"time": T, "power": W, "velocity_x": 0.6 * V, "velocity_y": 0.8 * V, "velocity_z": 0.0, "speed": speed}
+    columns |= {"angular_x": YAW / 50, "angular_y": YAW / 40, "angular_z": YAW}
+    log, _ = suggested(write(tmp_path / "run" / "a.csv", columns))
+    assert log.number("speed_m_s").max() == pytest.approx(V.max(), rel=0.01)
+    assert log.number("yaw_rate_rad_s").max() == pytest.approx(YAW.max(), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("axis{}.encoder.vel_estimate", 1.0), ("Feedback {} (RPM)", 60.0), ("motor_{}_velocity", 6.28)]
+)
+def test_turns_of_two_wheels_ask_for_their_radius(tmp_path: Path, name: str, factor: float) -> None:
+    columns = {"time": T, "power": W, name.format(0): factor * (V - YAW / 9), name.format(1): -factor * (V + YAW / 9)}
+    made = tmp_path / "made.yaml"
+    path = write(tmp_path / "a.csv", columns)
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 1
+    assert "constants: {wheel_radius: RADIUS m}" in made.read_text()
+    made.write_text(made.read_text().replace("RADIUS", "0.1"))
+    assert main(["import", str(path), "--map", str(made), "--out", str(tmp_path / "a.parquet"), "--quiet"]) == 0
+    factor = factor if "RPM" not in name else 2 * np.pi
+    assert read_log(tmp_path / "a.parquet").number("speed_m_s").max() == pytest.approx(0.1 * factor * V.max(), rel=0.01)
+
+
+def test_two_currents_of_one_voltage_are_added_with_a_question(tmp_path: Path) -> None:
+    columns = {"t": T, "v": V, "Battery Amps 1 (A)": 0.4 * W / VOLTS, "Battery Amps 2 (A)": 0.6 * W / VOLTS}
+    log, text = suggested(write(tmp_path / "run" / "a.csv", columns | {"Battery Volts (V)": VOLTS}), code=1)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert "TO DO: 2 currents were added up" in text
+
+
+@pytest.mark.parametrize("unit", [1.0, 180 / np.pi])
+def test_a_heading_of_several_turns_is_told_by_the_turn_rate(tmp_path: Path, unit: float) -> None:
+    theta = unit * np.cumsum(YAW + 0.2) * 0.1
+    columns = {"time": T, "power": W, "v": V, "yaw_rate": YAW + 0.2, "theta": theta}
+    log, _ = suggested(write(tmp_path / "run" / "a.csv", columns))
+    assert np.ptp(log.number("heading_rad")) == pytest.approx(np.ptp(theta) / unit, rel=0.01)
+
+
+def test_an_error_does_not_end_with_nought(tmp_path: Path) -> None:
+    way = 1e-6 * np.cumsum(V) * 0.1
+    path = write(tmp_path / "a.csv", {"time_s": T, "power_robot_w": W, "speed_m_s": V, "x_m": way, "y_m": 0.0})
+    names = ", ".join(f"{name}: {name}" for name in ("time_s", "power_robot_w", "speed_m_s", "x_m", "y_m"))
+    made, out = tmp_path / "made.yaml", str(tmp_path / "a.parquet")
+    made.write_text(f"kind: map\nname: a\ncolumns: {{{names}}}\n")
+    assert main(["import", str(path), "--map", str(made), "--out", out, "--quiet"]) == 1
+    made.write_text(made.read_text().partition(", x_m")[0] + "}\n")
+    assert main(["import", str(path), "--map", str(made), "--out", out, "--quiet"]) == 0
+
+
+def test_degrees_are_no_positions(tmp_path: Path) -> None:
+    way = np.cumsum(V) * 0.1
+    columns = {"t": T, "power": W, "speed": V, "position_x": -79.78 + way / 85e3, "position_y": 40.45 + way / 999e3}
+    _, text = suggested(write(tmp_path / "run" / "a.csv", columns))
+    assert "x_m:" not in text

@@ -425,7 +425,7 @@ def long_table(path: Path, stamp: str = "seconds", change: str = "") -> Path:
         seconds = seconds or f"2025-03-14 {9 + i // 36000:02d}:{i // 600 % 60:02d}:{i // 10 % 60:02d}.{i % 10}"
         seconds = "8.0" if change == "backwards" and i == 3500 else seconds
         extra = "" if change == "hollow" and i > 2000 else f"{i % 17}"
-        rows.append(f"{seconds},{20 + i % 13},{1 + i % 5},{'wood' if i < 1700 else 'carpet'},{extra}")
+        rows.append(f"{seconds},{20 + i % 13},{abs(i % 400 - 200) / 40},{'wood' if i < 1700 else 'carpet'},{extra}")
     path.write_text("time,watts,speed,floor,temperature\n" + "\n".join(rows) + "\n")
     return path
 
