@@ -149,7 +149,7 @@ class Mapper(Checker):
             data: ColumnData = transform.attitude(x, y, z, w, column.give)
         elif column.differentiate is not None:
             number = self._numbers(name, parts)[0]
-            if name == "yaw_rate_rad_s":
+            if name.endswith("yaw_rate_rad_s"):  # a helper as well
                 turned = column.unit or ""
                 number = transform.unwrap(number, 360.0 if turned.startswith(("deg", "°")) else 2 * np.pi)
             over = float(column.average) if column.average is not None else None

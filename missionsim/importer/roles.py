@@ -180,8 +180,10 @@ class Role:
     words: str
     prefer: str = r"$^"
     avoid: str = r"$^"
+    second: str = r"(?!)"
     by_unit: str = r"$^"
-    """All four: patterns over the words of the name: needed, better, worse, and enough beside a unit of it."""
+    """All five: patterns over the words of the name: needed, better, worse, good where there is no other, and enough
+    beside a unit of it."""
     low: float = 0.0
     high: float = np.inf
     """Both: what the 95 % point of the magnitude lies between, in the glossary's unit."""
@@ -192,7 +194,7 @@ def _role(name: str, told: dict[str, Any]) -> Role:
     patterns = {
         key: "|".join(WORDS["patterns"].get(one, one) for one in ([given] if isinstance(given, str) else given))
         for key, given in told.items()
-        if key in ("words", "prefer", "avoid", "by_unit")
+        if key in ("words", "prefer", "avoid", "second", "by_unit")
     }
     return Role(name, **told | patterns)
 
@@ -287,7 +289,10 @@ def guess_role(field: Field, role: Role) -> Guess | None:
         return Guess(role.name, field.name, "", 1.0, f"'{field.name}' holds words", "likely") if named else None
     own_dimension = dimension == role.dimension or (role.name in ("left", "right") and dimension == "yaw rate")
     named = named or (own_dimension and re.search(role.by_unit, tail) is not None)
-    short = bool(re.fullmatch(r"[a-z]", tail)) and own_dimension
+    letter = re.fullmatch(r"[a-z]", tail) is not None
+    if letter and not unit and folded(field) == "constant":
+        return None  # a flag, or the number of a device
+    short = letter and own_dimension
     if not (named or short or of_type) and not (
         own_dimension and role.name in ("power", "voltage", "current", "speed")
     ):
@@ -306,6 +311,8 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     score += 0.5 * (re.search(role.prefer, words) is not None)
     if re.search(role.avoid, words):
         score -= 1.0
+    elif re.search(role.second, words):
+        score -= 0.4
     strange = re.search(r"[\[(]\s*([^\[\]()\s]{1,12})\s*[\])]\s*\Z", field.name)
     if not unit and strange and re.search(r"[/^²³°%]|^[a-zA-Z]{1,3}\Z", strange[1]):
         score -= 0.5
@@ -347,7 +354,7 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     if (step < 0).mean() > 0.05 or (step > 0).mean() < 0.02:
         return None
     usual = float(np.median(step[step > 0]))
-    score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
+    score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamps?|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
     in_days = False
     try:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from missionsim.importer import transform
-from missionsim.importer.roles import WORDS, Field, Guess, size_of, words_of
+from missionsim.importer.roles import WORDS, Field, Guess, folded, size_of, words_of
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_energy import delivered, follows
+from missionsim.importer.suggest_turn import from_heading
 from missionsim.importer.suggest_wheels import from_wheels, numbered_wheels, path_of
 from missionsim.labels import Labels
 
@@ -22,14 +23,11 @@ if TYPE_CHECKING:
 
 def suggest(draft: Draft) -> None:
     """Add the columns of motion to a draft, as far as they are seen."""
-    dead = _leave_out_dead_twists(draft)
+    _leave_out_dead_twists(draft)
     speed = _speed(draft)
     _plain(draft, "yaw_rate", *(() if _in_degrees(draft) else ("x", "y")), "slope")
     _turn_beside(draft)
     _attitude(draft, speed)
-    if dead and "yaw_rate_rad_s" not in draft.columns and "heading_rad" in draft.columns:
-        guess = replace(draft.columns["heading_rad"][1], role="yaw_rate", why="rate of the heading")
-        draft.columns["yaw_rate_rad_s"] = ("{differentiate: heading_rad, average: 1 s}", guess)
     for guess in draft.best("elevation", 0.5)[:1] if "slope_rad" not in draft.columns and speed else ():
         heights = draft.values(guess.field, guess.unit)
         if not np.ptp(heights[np.isfinite(heights)]):
@@ -43,8 +41,13 @@ def suggest(draft: Draft) -> None:
             Guess("slope", guess.field, "", 0.9, why, "likely"),
         )
     if "heading_rad" not in draft.columns:
-        for guess in draft.best("heading", 0.5)[:1]:
-            draft.column("heading_rad", draft.ref(guess.field, "heading"), _heading_unit(draft, guess))
+        # one that never changes is one that the receiver does not have
+        found = [one for one in draft.best("heading", 0.5) if folded(draft.fields[one.field]) is None]
+        for guess in found[:1]:
+            ref = draft.ref(guess.field, "heading")
+            draft.fills |= {} if draft.direct else {ref: "hold"}  # the mean of 359° and 1° is no heading
+            draft.column("heading_rad", ref, _heading_unit(draft, guess))
+    from_heading(draft)
     if not speed:
         draft.remarks.append("no speed was found: only what stands still can be explained without one")
 
@@ -178,9 +181,8 @@ def _speed(draft: Draft) -> str:
 _TWIST = ".twist.twist.linear.x"
 
 
-def _leave_out_dead_twists(draft: Draft) -> bool:
+def _leave_out_dead_twists(draft: Draft) -> None:
     """Leave out the speeds of an odometry whose pose moves while they stay nought; told."""
-    found = False
     for name in [name for name in draft.fields if name.endswith(_TWIST)]:
         topic = name.removesuffix(_TWIST)
         place = [f"{topic}.pose.pose.position.{axis}" for axis in "xy"]
@@ -192,8 +194,6 @@ def _leave_out_dead_twists(draft: Draft) -> bool:
         if (reach := float(np.hypot(x, y))) > max(_MOVED_M, 20.0 * driven):
             draft.remarks.append(f"the twist of {topic} stays nought while its pose moves by {reach:.3g} m: not taken")
             draft.fields = {one: kept for one, kept in draft.fields.items() if not one.startswith(f"{topic}.twist.")}
-            found = True
-    return found
 
 
 def _across(name: str) -> str:

@@ -399,3 +399,32 @@ def test_sides_beside_a_battery_that_says_otherwise(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", head, T, loggers.speed(T), 0.2 * W, 0.3 * W, 24 + 0 * T, W / 24)
     assert suggested(tmp_path, path).energy_wh("robot") == pytest.approx(WH, rel=0.01)
     assert "sides_w:" not in map_of(path)
+
+
+@pytest.mark.parametrize(("name", "unit", "moving"), [("Yaw", 1.0, False), ("gps_heading", 180 / np.pi, True)])
+def test_a_heading_without_a_yaw_rate(tmp_path: Path, name: str, unit: float, moving: bool) -> None:
+    rate = loggers.turn(T)
+    angle = (np.cumsum(rate) * 0.1 * unit + np.round(np.random.default_rng(0).normal(0, 0.005 * unit, len(T)), 3)) % (
+        2 * np.pi * unit
+    )
+    head = f"time,power_w,speed,DesYaw,{name},GPS_Yaw"
+    path = write(tmp_path / "a.csv", head, T, loggers.power(T), loggers.speed(T), 0 * T, angle.round(4), 0 * T)
+    log, text = suggested(tmp_path, path), (tmp_path / "made.yaml").read_text()
+    found = log.number("yaw_rate_rad_s")
+    assert "differentiate: heading_rad, average: " in text
+    drives = loggers.speed(T) > 0.3
+    assert np.sqrt(np.mean((found - rate)[drives] ** 2)) < 0.03
+    assert moving == ("where(abs(speed_m_s) > 0.3" in text)
+    assert not moving or (found[~drives] == 0).all()
+
+
+def test_files_of_one_run_with_flags_of_one_letter(tmp_path: Path) -> None:
+    watts = loggers.power(T)
+    battery = write(tmp_path / "BAT.csv", "timestamp,Inst,Volt,Curr", 1.7e9 + T, 0 * T, 0 * T + 24, watts / 24)
+    place = write(
+        tmp_path / "GPS.csv", "timestamp,I,Spd,U", 1.7e9 + T + 0.03, (0 * T).astype(int), loggers.speed(T),
+        (0 * T + 1).astype(int),
+    )  # fmt: skip
+    log = suggested(tmp_path, battery, place)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
