@@ -6,7 +6,7 @@ import functools
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from missionsim.glossary import column_of
 from missionsim.inputs.tree import read_document
 from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData
+from missionsim.logs.raw import TIME_STAMP, ColumnData
 from missionsim.logs.readers import Options, Reader, reader_of, recorded
 from missionsim.logs.times import Stamps, TimeError, is_stamp, numbers_as_times
 from missionsim.physics import Array
@@ -160,8 +160,9 @@ def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> l
     most `most` rows or messages of a topic are looked at."""
     reader = reader or reader_of(path)
     if reader.table is not None:
-        columns = reader.table(path, Options(most=most)).columns
-        return [Field(name, len(data), data) for name, data in columns.items()]
+        raw = reader.table(path, Options(most=most))
+        titles = {remark.column: TIME_STAMP for remark in raw.remarks if remark.message == TIME_STAMP}
+        return [Field(name, len(data), data, title=titles.get(name, "")) for name, data in raw.columns.items()]
     topics = sorted(recorded(reader, path, Options(most=most)).topics, key=lambda topic: topic.name)
     return [Field(f"{one.name} ({one.title})", one.count, np.empty(0)) for one in topics if not one.columns] + [
         Field(f"{one.name}.{name}", one.count or len(data), data, one.time_s, one.title)
@@ -180,13 +181,14 @@ class Role:
     words: str
     prefer: str = r"$^"
     avoid: str = r"$^"
-    second: str = r"(?!)"
     by_unit: str = r"$^"
-    """All five: patterns over the words of the name: needed, better, worse, good where there is no other, and enough
-    beside a unit of it."""
+    """All four: patterns over the words of the name: needed, better, worse, and enough beside a unit of it."""
     low: float = 0.0
     high: float = np.inf
     """Both: what the 95 % point of the magnitude lies between, in the glossary's unit."""
+    _: KW_ONLY
+    second: str = r"(?!)"
+    """Pattern of what is good where there is no other."""
 
 
 def _role(name: str, told: dict[str, Any]) -> Role:
@@ -282,7 +284,7 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     dimension = UNITS[unit][0] if unit else ""
     named = re.search(role.words, tail) is not None or (tail == "" and dimension == role.dimension != "")
     if role.name == "time":
-        return _as_time(field, words, unit, named)
+        return _as_time(field, words, unit, named or field.title == TIME_STAMP)
     if text != (role.dimension == "text") or folded(field) not in (None, "constant"):
         return None
     if text:

@@ -272,6 +272,10 @@ def _merged(topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader |
 
 def _joined(source: Source, spec: MapSpec) -> RawTable:
     """The files of one run on one time axis."""
+    if not spec.signals:
+        raise InputError.single(
+            "a map for files needs signals", file=str(spec.path), allowed="signals: {volts: FILE.COLUMN}"
+        )
     remarks: list[Remark] = []
     topics: list[Topic] = []
     clocks: dict[str, str] = {}

@@ -74,6 +74,8 @@ def merge(remarks: Iterable[Remark]) -> list[Remark]:
 
 _SWITCH_WORDS = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 _MOSTLY_NUMBERS = 0.9
+TIME_STAMP = "a timestamp, not a number"
+"""What is said of a column of numbers that was one of stamps."""
 
 
 @dataclass
@@ -177,7 +179,7 @@ def _column(data: Any, name: str, raw: RawTable) -> ColumnData:
         return np.full(len(data), np.nan)
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         stamps = _floats(data.cast(pa.int64()))
-        raw.remarks.append(Remark("format", name, "a timestamp, not a number", f"read as seconds ({kind})", "note"))
+        raw.remarks.append(Remark("format", name, TIME_STAMP, f"read as seconds ({kind})", "note"))
         if pa.types.is_timestamp(kind) and kind.tz is None:
             raw.local.add(name)
         return np.asarray(stamps, dtype=np.float64) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
@@ -283,6 +285,7 @@ _OF = {
     "W": {"W": 1.0, "mW": 1e-3, "uW": 1e-6, "kW": 1e3}, "Wh": {"Wh": 1.0, "mWh": 1e-3, "kWh": 1e3}, "1": {"%": 1.0},
     "V": {"V": 1.0, "mV": 1e-3, "kV": 1e3}, "A": {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6},
     "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "°/s": np.pi / 180},
+    "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "min": 60.0, "hr": 3600.0},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704},
 }  # fmt: skip
 """Unit of a column → units that its cells may have → what a number with one is multiplied by."""

@@ -428,3 +428,20 @@ def test_files_of_one_run_with_flags_of_one_letter(tmp_path: Path) -> None:
     log = suggested(tmp_path, battery, place)
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
     assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
+
+
+def test_times_of_other_programs(tmp_path: Path) -> None:
+    watts, v = loggers.power(T), loggers.speed(T)
+    rows = ["X_Value\tU_Batt\tI_Batt\tGeschwindigkeit\tComment"]
+    rows += [f"{t:.1f}\t24\t{w / 24:.5f}\t{s:.4f}\t" for t, w, s in zip(T, watts, v, strict=True)]
+    (tmp_path / "a.lvm.txt").write_text("\n".join(rows) + "\n")
+    log = suggested(tmp_path, tmp_path / "a.lvm.txt")
+    assert log.rows == len(T)  # a tab at the end of the last line is a cell
+    assert not [remark for remark in log.remarks if "cut short" in remark.message]
+    path = write(tmp_path / "b.csv", "Time,vBatt,iBatt,v", [f"{t:.5g} sec" for t in T], 0 * T + 24, watts / 24, v)
+    assert suggested(tmp_path, path).time_s[-1] == pytest.approx(T[-1])
+    stamps = [f'"2024-05-14 09:{21 + i // 60}:{i % 60:02d}"' for i in range(len(T[::10]))]
+    head = '"timestamp","Battery [2]","GPS [0]"\n"Europe/Berlin (+02:00)","Battery power","Speed"\n"","W","m/s"'
+    log = suggested(tmp_path, write(tmp_path / "c.csv", head, stamps, -watts[::10], v[::10]))
+    assert log.time_s[-1] == pytest.approx(T[::10][-1])
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.02)

@@ -311,7 +311,7 @@ def has_cut_end(path: Path, dialect: Dialect) -> bool:
     with open(path, "rb") as handle:
         handle.seek(0, 2)
         handle.seek(max(0, handle.tell() - _HEAD_BYTES))
-        lines = handle.read().rstrip().splitlines()
+        lines = [line for line in handle.read().splitlines() if line.strip()]  # ending tabs are cells without a value
     if dialect.encoding.startswith("utf-16") or len(lines) < 3:
         return False
     try:
