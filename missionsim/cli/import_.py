@@ -44,7 +44,8 @@ def import_(
     ----------
     sources
         CSV, Parquet or other text tables, JSON lines, ROS 1 and ROS 2 bags, MCAP, ULog, ArduPilot logs; a folder of
-        such files, or a pattern of names. Several files are joined by time where the map says so (files).
+        such files, or a pattern of names. Several files are joined by time where the map says so (files);
+        tables with one row for each value are read by its `long`.
     map_
         The map (YAML, kind: map): which columns the log gets and how.
     out

@@ -14,16 +14,27 @@ from pathlib import Path
 import numpy as np
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.importer.long_tables import signals_of
+from missionsim.importer.one_clock import one_clock
 from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, recorded, registry, source_suffixes
+from missionsim.logs.readers import (
+    Options,
+    Reader,
+    Topic,
+    not_there,
+    reader_of,
+    recorded,
+    registry,
+    source_suffixes,
+    without_codes,
+)
 from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
-_DAY_S = 86400.0
 _NEAREST = 6
 """Names that a message offers for one that is not there."""
 
@@ -239,7 +250,8 @@ def _merged(topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader |
     signals: dict[str, Signal] = {}
     faults: list[Fault] = []
     known: list[str] | None = None
-    by_name = {f"{topic.name}.{column}": (topic, column) for topic in topics for column in topic.columns}
+    every = ((topic, column) for topic in topics for column in topic.columns)
+    by_name = {f"{topic.name}.{column}".removesuffix("."): (topic, column) for topic, column in every}
     unknown = {topic.name: topic.title for topic in topics if not topic.columns}
     for alias, signal in spec.signals.items():
         field = signal.field.strip()
@@ -285,7 +297,7 @@ def _joined(source: Source, spec: MapSpec) -> RawTable:
         parts, clocks[alias], told = _parts(source.files[alias], alias, file, own, spec)
         topics += parts
         remarks += [Remark(r.kind, r.column, f"{alias}: {r.message}", r.action, r.severity, r.line) for r in told]
-    _one_clock(topics, clocks, source, remarks)
+    one_clock(topics, clocks, source.path, remarks)
     raw = _merged(topics, spec, source.path, None)
     raw.remarks[:0] = remarks
     return raw
@@ -303,7 +315,8 @@ def _parts(
             topic.name, topic.time_s = f"{alias}.{topic.name}", topic.time_s + (found.start_s - lag)
         return found.topics, "utc", found.remarks
     assert reader.table is not None
-    raw = reader.table(path, Options(header=spec.table.header, delimiter=spec.table.delimiter))
+    mixed = file.long is not None
+    raw = reader.table(path, Options(header=spec.table.header, delimiter=spec.table.delimiter, mixed=mixed))
     if not file.time:
         allowed = f"time: one of {', '.join(raw.names or raw.columns)}, or [date, time]"
         raise InputError(spec.document.fault(("files", alias), "the column of its time is missing", allowed=allowed))
@@ -313,12 +326,25 @@ def _parts(
         raise InputError(missing_field(spec, alias, missing, raw.names, raw.file, ("files", alias, "time")))
     names = [name for name in chosen if name is not None]
     stamps = stamps_of(raw, names, file.zone, file.unit)
-    known = np.isfinite(stamps.seconds)
+    known, told = np.isfinite(stamps.seconds), [*raw.remarks, *stamps.remarks]
+    if file.long is not None:
+        for key, name in (
+            *(("name", one) for one in file.long.name),
+            ("value", file.long.value),
+            ("unit", file.long.unit),
+        ):
+            if name is not None and name not in raw.columns:
+                raise InputError(missing_field(spec, alias, name, raw.names, raw.file, ("files", alias, "long", key)))
+        topics = [
+            Topic(f"{alias}.{name}", stamps.seconds[rows][known[rows]] - lag, {"": values[known[rows]]})
+            for name, rows, values in signals_of(raw, file.long)
+        ]
+        return without_codes(topics, told), stamps.kind, told
     columns: dict[str, ColumnData] = {name: data[known] for name, data in raw.columns.items() if name not in names}
     for field in own:
         if (name := column_name(field, raw.names)) is not None and name not in names:
             columns[field] = columns[name]
-    return [Topic(alias, stamps.seconds[known] - lag, columns)], stamps.kind, [*raw.remarks, *stamps.remarks]
+    return [Topic(alias, stamps.seconds[known] - lag, columns)], stamps.kind, told
 
 
 def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str | None) -> Stamps:
@@ -331,42 +357,6 @@ def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str |
         return read_stamps(parts, " and ".join(names), zone, bool(raw.local & set(names)))
     except (TimeError, UnitError) as error:
         raise InputError(Fault(raw.file, raw.line(getattr(error, "row", 0)), 0, str(error), names[0])) from None
-
-
-def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, remarks: list[Remark]) -> None:
-    """Bring the files of a run to one clock, and see that they overlap."""
-    kinds = set(clocks.values())
-    if kinds & {"utc", "local"} and "day" in kinds:
-        kind = {topic.name: clocks[topic.name.partition(".")[0]] for topic in topics}
-        dated = [topic.time_s.min() for topic in topics if kind[topic.name] in ("utc", "local")]
-        for topic in topics:
-            if kind[topic.name] == "day":
-                topic.time_s = topic.time_s + np.floor(min(dated) / _DAY_S) * _DAY_S
-        kinds.discard("day")
-        remarks.append(Remark("clock", "", "a file has times of day only", "the day is that of the other file", "note"))
-    spans = {one.name: (float(one.time_s.min()), float(one.time_s.max())) for one in topics if len(one.time_s)}
-    words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
-    told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
-    if "own" in kinds and len(kinds) > 1:
-        allowed = "times of day or dates in all of them, or seconds from one start in all"
-        raise InputError.single("these files have no clock in common", file=str(source.path), got=told, allowed=allowed)
-    if kinds == {"own"} and len(clocks) > 1:
-        action = "taken as counted from one start"
-        remarks.append(Remark("clock", "", "the files have no clock but seconds of their own", action, "warning"))
-    begin, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
-    if begin >= end:
-        late = max(spans, key=lambda name: spans[name][0])
-        apart = begin - end
-        zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else ""
-        message = f"the files do not overlap: {late} begins {apart:.6g} s after another one ends"
-        raise InputError.single(message, file=str(source.path), got=told, allowed="files of one run", hint=zone)
-    if {"utc", "local"} <= kinds:
-        action = "taken as UTC, as they overlap so; zone: says otherwise"
-        remarks.append(Remark("clock", "", f"local times without a zone beside UTC ({told})", action, "warning"))
-    for name, (first, last) in spans.items():
-        if (outside := max(0.0, begin - first) + max(0.0, last - end)) > 1.0:
-            message = f"{outside:.4g} s of {name} lie outside the other files"
-            remarks.append(Remark("gap", "", message, "these were left out", "note"))
 
 
 def identifier(name: str) -> str:

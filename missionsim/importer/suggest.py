@@ -15,6 +15,7 @@ import numpy as np
 
 from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_further, suggest_motion, suggest_power
+from missionsim.importer.long_tables import recognised, signals_of
 from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all, guess_role, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
@@ -186,6 +187,8 @@ def _single(path: Path) -> Draft:
     fields = fields_of(path, reader, _MOST_ROWS if reader.table else 5_000)
     draft = Draft({one.name: one for one in fields}, reader.table is not None)
     if reader.table is not None:
+        if recognised(draft.fields) is not None:
+            return _joined([path])
         raw = reader.table(path, Options(most=100))
         draft.remarks += [f"{r.message}; {r.action}" for r in raw.remarks if r.kind == "format" and not r.column]
         if raw.headless:
@@ -228,6 +231,8 @@ def _joined(paths: Sequence[Path]) -> Draft:
         reader = reader_of(path)
         fields = fields_of(path, reader, _MOST_ROWS)
         pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else path.name
+        if len(paths) == 1:
+            alias, pattern = "log", "{run}" + path.suffix
         names, times, comment = list[str](), "", ""
         more: dict[str, Any] = {}
         if reader.table is not None:
@@ -241,6 +246,15 @@ def _joined(paths: Sequence[Path]) -> Draft:
             unit = f", unit: {quoted(time.unit)}" if time.unit else ""
             times = f", time: [{', '.join(map(quoted, names))}]{unit}"
             comment = f"  # {time.sure}: {time.why}"
+            if own.time_s is not None and (long := recognised(own.fields, own.time_s)) is not None:
+                mixed = reader.table(path, Options(most=_MOST_ROWS, mixed=True))
+                fields = [
+                    Field(name, len(rows), values, own.time_s[rows]) for name, rows, values in signals_of(mixed, long)
+                ]
+                more = {"title": path.name}
+                told = {"name": f"[{', '.join(map(quoted, long.name))}]", "value": quoted(long.value)}
+                told |= {"unit": quoted(long.unit)} if long.unit else {}
+                times += f", long: {{{', '.join(f'{key}: {value}' for key, value in told.items())}}}"
         for one in fields:
             if one.name not in names:
                 name = f"{alias}.{one.name}"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from missionsim.importer import transform
+from missionsim.importer.long_tables import written_at_changes
 from missionsim.importer.roles import WORDS, Field, Guess, folded, size_of, words_of
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_energy import delivered, follows
@@ -130,6 +131,8 @@ def _moving(draft: Draft, name: str, alias: str) -> str:
     if ref in draft.signals and power is not None and power.time_s is not None and mine is not None:
         steps = [float(np.median(np.diff(t))) if len(t) > 1 else np.inf for t in (power.time_s, mine)]
         draft.fills[ref] = "linear" if steps[1] > 0.7 * steps[0] else "mean"
+        if written_at_changes(draft.fields[name]):
+            draft.fills[ref] = "hold"
     return ref
 
 

@@ -46,6 +46,14 @@ class SignalMap(Model):
     fill: Literal["hold", "linear", "mean"] | None = None
 
 
+class LongMap(Model):
+    """A table with one row for each value: the columns that name the signal, hold its value and say its unit."""
+
+    name: Annotated[Names, Field(min_length=1)]
+    value: Name
+    unit: Name | None = None
+
+
 class FileMap(Model):
     """One of several files of a run, which are joined by time."""
 
@@ -54,6 +62,7 @@ class FileMap(Model):
     unit: Text | None = None
     zone: Text | None = None
     lag: Lag | None = None
+    long: LongMap | None = None
 
 
 class ColumnMap(Model):

@@ -35,6 +35,8 @@ class Options:
     """Rows, or messages of a topic, that suffice (listings and suggestions)."""
     typed: bool = False
     """Tables: whether columns with names of the glossary have to hold what the glossary says."""
+    mixed: bool = False
+    """Tables: whether a column holds values of several signals: a code for no value can be none in another one."""
     header: tuple[str, ...] = ()
     delimiter: str | None = None
     """Both: text tables: names of the columns of a file without a header line, and what separates them."""
@@ -97,13 +99,19 @@ def recorded(reader: Reader, path: Path, options: Options) -> Recording:
     """What a reader of messages gives, without the codes for no value in them."""
     assert reader.recording is not None
     found = reader.recording(path, options)
-    for topic in found.topics:
+    without_codes(found.topics, found.remarks)
+    return found
+
+
+def without_codes(topics: list[Topic], remarks: list[Remark]) -> list[Topic]:
+    """Take the codes for no value out of topics; what is said is added to `remarks`."""
+    for topic in topics:
         for name, tally in tallies_of(topic.columns).items():
             data, codes = topic.columns[name], tally.found()
             if codes and not isinstance(data, Labels):
                 topic.columns[name] = without(data, codes)
-                found.remarks += codes_told(f"{topic.name}.{name}", tally.rows, codes)
-    return found
+                remarks += codes_told(f"{topic.name}.{name}".removesuffix("."), tally.rows, codes)
+    return topics
 
 
 @functools.cache

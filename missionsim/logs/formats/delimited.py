@@ -52,7 +52,8 @@ def read_csv(path: Path, options: Options) -> RawTable:
     most = options.most or math.inf
 
     def whole(file: _File) -> RawTable:
-        raw = leave_out_codes(next(file.tables(options.wants, most)))
+        raw = next(file.tables(options.wants, most))
+        raw = raw if options.mixed else leave_out_codes(raw)
         if not file.ended and not (file.cut and raw.rows < most):
             action = "read as it is; if the file was cut there, its last number is wrong"
             raw.remarks.append(Remark("format", "", "the last line has no end of line", action, "note"))
@@ -341,7 +342,7 @@ def read_parquet(path: Path, options: Options) -> RawTable:
     with _open(path) as (handle, names):
         raw = from_arrow(handle.read(columns=list(filter(options.wants, names))), str(path))
         raw.names = tuple(names)
-        return leave_out_codes(raw)
+        return raw if options.mixed else leave_out_codes(raw)
 
 
 def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:

@@ -1,0 +1,113 @@
+"""Tables with one row for each value: the name of a signal stands in a column, and its value in another."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.importer.roles import Field, guess_all, words_of
+from missionsim.inputs.log_map import LongMap
+from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData, RawTable, number_of, numbers_in, numbers_of
+from missionsim.logs.times import is_stamp
+from missionsim.physics import Array
+
+_VALUE = re.compile(r"(field )?(val|values?|state|reading|wert|valeur|valore?)")
+_NAME = re.compile(
+    r"(.* )?(entity|field|series|metric|pid|name|signal|sensor|variable|parameter|channel|tag|item|topic|key"
+    r"|measurement|attribute|quantity|data ?point|label)( id| name)?"
+)
+_UNIT = re.compile(r"(.* )?(units?|uom|einheit)( of measurement)?")
+"""What columns of names, values and units are called."""
+_WIDE = ("power", "voltage", "current", "energy", "speed")
+"""Roles that no column of such a table has."""
+_ROWS, _AGAIN = 5, 0.1
+"""Rows of each name at least, and part of them at the time of another one from which further columns tell signals
+apart (both assumed)."""
+_NUMBERS = 0.5
+"""Part of the cells of a signal that are numbers, at least: the others say that there is none (assumed)."""
+
+
+def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.int64], ColumnData]]:
+    """Each signal of a table: its name, with a unit in brackets behind it; its rows; and its values there. Raises
+    KeyError: a column that is not in the table."""
+    texts = [_texts(raw.columns[name]) for name in long.name]
+    units = _texts(raw.columns[long.unit]) if long.unit else None
+    code = np.zeros(raw.rows, dtype=np.int64)
+    for one in (*texts, *([units] if units else ())):
+        _, code = np.unique(code * (len(one.names) + 1) + one.codes + 1, return_inverse=True)
+    order = np.argsort(code, kind="stable")
+    values = raw.odd.get(long.value, raw.columns[long.value])
+    for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
+        if not len(rows):
+            continue
+        name = ".".join(text for one in texts if (text := str(one.texts()[rows[0]])))
+        unit = str(units.texts()[rows[0]]) if units else ""
+        found = _numbers(values[rows], raw.decimal)
+        known = found.codes >= 0 if isinstance(found, Labels) else np.isfinite(found)
+        if name and known.any():
+            yield f"{name} [{unit}]" if unit else name, rows[known], found[known]
+
+
+def _texts(data: ColumnData) -> Labels:
+    return data if isinstance(data, Labels) else Labels.of("" if value != value else f"{value:g}" for value in data)
+
+
+def _numbers(data: ColumnData, decimal: str) -> ColumnData:
+    """Values of one signal as numbers, where most are; ``unavailable`` is none."""
+    if not isinstance(data, Labels):
+        return data
+    labels, written = data.compact(), data.codes >= 0
+    numbers = numbers_of(labels, lambda word: number_of(word.strip().replace(decimal, ".")))
+    if written.any() and float(np.isfinite(numbers[written]).mean()) > _NUMBERS:
+        return numbers
+    return numbers_in(labels)
+
+
+def recognised(fields: Mapping[str, Field], time_s: Array | None = None) -> LongMap | None:
+    """Which columns of a table name a signal, hold its value and say its unit; None where it has a column for each.
+    `time_s`: times of the rows, by which further columns are found that tell signals of one name apart."""
+    called = {name: words_of(name)[0] or name.lower() for name in fields}
+    value = next((name for name, words in called.items() if _VALUE.fullmatch(words)), None)
+    texts = {
+        name: one.values
+        for name, one in fields.items()
+        if isinstance(one.values, Labels) and name != value and not any(map(is_stamp, one.values.names[:1]))
+        if (one.values.codes >= 0).mean() > 0.5
+    }
+    names = [
+        name
+        for name, labels in texts.items()
+        if _NAME.fullmatch(called[name]) and _ROWS * len(labels.names) <= len(labels)
+    ]
+    roles = {guess.role for name, guess in guess_all(list(fields.values())).items() if guess.score > 0.8}
+    if value is None or not names or roles & {*_WIDE}:
+        return None
+    chosen = [name for name in names if len(texts[name].names) > 1] or names[:1]
+    unit = next((name for name in texts if _UNIT.fullmatch(called[name])), None)
+    left = [name for name in texts if name not in (*chosen, unit) and len(texts[name].names) > 1]
+    while time_s is not None and left and (now := _same_times(texts, chosen, time_s)) > _AGAIN:
+        best = min(left, key=lambda name: _same_times(texts, [*chosen, name], time_s))
+        if _same_times(texts, [*chosen, best], time_s) >= now:
+            break
+        chosen.append(best)
+        left.remove(best)
+    return LongMap(name=tuple(name for name in texts if name in chosen), value=value, unit=unit)
+
+
+def _same_times(texts: Mapping[str, Labels], names: list[str], time_s: Array) -> float:
+    """Part of the rows that have the time of another one of the same names."""
+    keys = np.stack([time_s, *(texts[name].codes.astype(np.float64) for name in names)])
+    return 1.0 - len(np.unique(keys, axis=1).T) / max(len(time_s), 1)
+
+
+def written_at_changes(field: Field) -> bool:
+    """Whether a signal is written only where it changes, so that it stays as it is until the next time."""
+    time_s, values = field.time_s, field.values
+    if time_s is None or len(time_s) < 20 or isinstance(values, Labels):
+        return False
+    step = np.diff(time_s)
+    return bool((np.diff(values) != 0).all()) and float(step.max()) > 3.0 * float(np.median(step))

@@ -1,0 +1,98 @@
+"""Tables with one row for each value, as data bases and car scanners export them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command as main
+from missionsim.logs import read_log
+from tests.logs import loggers
+
+T = np.arange(0.0, loggers.LENGTH_S, 0.5)
+WATTS, SPEED = loggers.power(T), loggers.speed(T)
+WH = float(WATTS.sum() * 0.5 / 3600)
+
+
+def stamp(t: float) -> str:
+    return f"2025-03-14T09:{21 + int(t) // 60}:{t % 60:06.3f}Z"
+
+
+def rows(*signals: tuple[str, np.ndarray], late: float = 0.0) -> list[tuple[str, str, str]]:
+    """Name, time and value of each, signal after signal."""
+    return [
+        (name, stamp(t + late * i), f"{value:.5g}")
+        for i, (name, values) in enumerate(signals)
+        for t, value in zip(T, values, strict=True)
+    ]
+
+
+def influx(path: Path) -> None:
+    """Two measurements with fields of one name, and annotations."""
+    text = "#group,false,false,false,false,true,true\n#datatype,string,long,dateTime:RFC3339,double,string,string\n"
+    text += "#default,_result,,,,,\n,result,table,_time,_value,_field,_measurement\n"
+    told = rows(("power.heater", 0 * T + 3), ("power.battery", WATTS), ("speed.odometry", SPEED))
+    text += "".join(
+        f",,{0},{time},{value},{name.partition('.')[0]},{name.partition('.')[2]}\n" for name, time, value in told
+    )
+    path.write_text(text)
+
+
+def home(path: Path) -> None:
+    """Words for what is not known, among texts of a switch."""
+    told = rows(("sensor.agv_battery_power", WATTS), ("sensor.agv_speed", SPEED), late=0.1)
+    told.insert(0, ("sensor.agv_speed", stamp(0), "unavailable"))
+    told += [("switch.agv_lamp", stamp(0.2), "off"), ("switch.agv_lamp", stamp(40), "on")]
+    path.write_text("entity_id,state,last_changed\n" + "".join(f"{n},{v},{t}\n" for n, t, v in told))
+
+
+def scanner(path: Path) -> None:
+    """Units in a column, and a number that is a code for no value in one signal alone."""
+    told = rows(("Battery power", 1000 * WATTS), ("Vehicle speed", 3.6 * SPEED), ("Limit", 0 * T + 9999), late=0.1)
+    units = {"Battery power": "mW", "Vehicle speed": "km/h", "Limit": "W"}
+    text = '"TIME";"PID";"VALUE";"UNITS";\n'
+    path.write_text(text + "".join(f'"{t}";"{n}";"{v}";"{units[n]}";\n' for n, t, v in told))
+
+
+@pytest.mark.parametrize(
+    ("write", "long"),
+    [
+        (influx, "long: {name: [_field, _measurement], value: _value}"),
+        (home, "long: {name: [entity_id], value: state}"),
+        (scanner, "long: {name: [PID], value: VALUE, unit: UNITS}"),
+    ],
+)
+def test_one_row_a_value(tmp_path: Path, write: object, long: str) -> None:
+    assert callable(write)
+    path, made, out = tmp_path / "run1.csv", tmp_path / "made.yaml", tmp_path / "out.parquet"
+    write(path)
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0
+    assert long in made.read_text()
+    assert main(["import", str(path), "--map", str(made), "--out", str(out), "--quiet"]) == 0
+    log = read_log(out)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.02)
+    assert log.number("speed_m_s").max() == pytest.approx(SPEED.max(), rel=0.02)
+
+
+def test_a_column_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, made = tmp_path / "run1.csv", tmp_path / "made.yaml"
+    home(path)
+    main(["import", str(path), "--suggest", "--out", str(made), "--quiet"])
+    made.write_text(made.read_text().replace("[entity_id]", "[entity]"))
+    assert main(["import", str(path), "--map", str(made), "--out", str(tmp_path / "o.parquet"), "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert "'entity' is not in" in told
+    assert "did you mean: entity_id" in told
+    assert "files.log.long.name" in told
+
+
+def test_a_wide_table_with_a_state_is_none(tmp_path: Path) -> None:
+    path, made = tmp_path / "a.csv", tmp_path / "made.yaml"
+    path.write_text(
+        "time,name,state,power_w\n"
+        + "".join(f"{t},agv,{i % 3},{w}\n" for i, (t, w) in enumerate(zip(T, WATTS, strict=True)))
+    )
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0
+    assert "long:" not in made.read_text()
