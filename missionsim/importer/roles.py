@@ -143,6 +143,8 @@ class Field:
     values: ColumnData
     time_s: Array | None = None
     title: str = ""
+    joined: bool = False
+    """Of a table among several: the name of its file stands before its own."""
 
     def range(self) -> str:
         """Lowest and highest value, or the first words."""
@@ -252,17 +254,18 @@ def guess_all(fields: Sequence[Field]) -> dict[str, Guess]:
     return found
 
 
-def inner_name(name: str) -> str:
-    """A field without its topic or file, unless what is left says nothing (``/battery/voltage.data``), or is a letter
-    that is a unit in a message of a meter (``battery.v``)."""
+def _inner_name(field: Field) -> str:
+    """The name without its topic or file, unless what is left says nothing (``/battery/voltage.data``) or is a letter
+    that is a unit: of a message (``data.v``) but for those of motion, and of a file of a meter."""
+    name = field.name
+    if letter := re.fullmatch(r"(.+)\.([avw])", name):
+        meter, moves = (re.search(WORDS["patterns"][one], words_of(letter[1])[0]) for one in ("meter", "motion"))
+        return name if (meter if field.joined else not moves) else letter[2]
     topic = re.match(
         r"(/[^.\[]+(?:\[[^\]]+\])?|(?!linear\.|angular\.)[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", name
     )
     inner = name[topic.end() :] if topic else name
-    letter = re.fullmatch(r"[a-z]", inner) and re.search(
-        WORDS["patterns"]["meter"], words_of(name[: -len(inner) - 1])[0]
-    )
-    return name if inner in ("data", "value") or letter else inner
+    return name if inner in ("data", "value") else inner
 
 
 def guess_role(field: Field, role: Role) -> Guess | None:
@@ -274,7 +277,7 @@ def guess_role(field: Field, role: Role) -> Guess | None:
         own = WORDS["columns"].get(known[0].name)
         return Guess(role.name, field.name, "", 3.0, "a name of the glossary", "sure") if own == role.name else None
     words = words_of(field.name)[0]
-    inner = inner_name(field.name)
+    inner = _inner_name(field)
     tail, unit = words_of(inner)
     typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")
     if not unit and role.name in ("left", "right") and re.search(r"\brpm\b", words):

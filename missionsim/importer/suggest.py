@@ -258,7 +258,7 @@ def _joined(paths: Sequence[Path]) -> Draft:
         for one in fields:
             if one.name not in names:
                 name = f"{alias}.{one.name}"
-                draft.fields[name] = replace(one, name=name, **more)
+                draft.fields[name] = replace(one, name=name, joined=reader.table is not None, **more)
         files.append(f"  {alias}: {{name: {quoted(pattern)}{times}}}{comment}")
     draft.head["files"] = "\n" + "\n".join(files)
     return draft

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from missionsim.importer.roles import Field, Guess, size_of, words_of
+from missionsim.labels import Labels
 from missionsim.logs.clean import without_resets
 from missionsim.physics import Array
 
@@ -152,8 +153,10 @@ def sum_of_cells(draft: Draft, volts: list[Guess]) -> list[Guess]:
 def sum_of_currents(draft: Draft, volts: Guess, amps: Guess) -> Guess:
     """All currents whose names differ in a number alone, with a question, where they have one voltage together; else
     the others are told."""
-    alike = [name for name in draft.fields if re.sub(r"\d", "#", name) == re.sub(r"\d", "#", amps.field)]
-    levels = [name for name in draft.fields if re.sub(r"\d", "#", name) == re.sub(r"\d", "#", volts.field)]
+    numbers = [name for name, one in draft.fields.items() if not isinstance(one.values, Labels)]
+    alike, levels = (
+        [name for name in numbers if re.sub(r"\d", "#", name) == re.sub(r"\d", "#", one.field)] for one in (amps, volts)
+    )
     if len(alike) < 2:
         return amps
     if not draft.direct or len(levels) > 1:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.importer.roles import ROLES, Guess, size_of, words_of
-from missionsim.labels import Labels
+from missionsim.importer.roles import ROLES, Guess, folded, size_of, words_of
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -48,10 +47,10 @@ def numbered_wheels(draft: Draft) -> list[Guess]:
     groups: dict[str, list[Guess]] = {}
     for name, one in draft.fields.items():
         words, unit = words_of(name)
-        if isinstance(one.values, Labels) or not re.search(_TURNS, words) or re.search(ROLES["left"].avoid, words):
+        if folded(one) is not None or not re.search(_TURNS, words) or re.search(ROLES["left"].avoid, words):
             continue
         unit = unit or "rpm" * bool(re.search(r"\brpm\b", words))
-        if unit in ("", "rpm", "rad/s", "deg/s") and re.search(r"\d", name) and np.nanmax(np.abs(one.values)) > 0:
+        if unit in ("", "rpm", "rad/s", "deg/s") and re.search(r"\d", name):
             groups.setdefault(re.sub(r"\d+", "#", name), []).append(Guess("speed", name, unit, 0.9, words, "likely"))
     return next((pair for pair in groups.values() if len(pair) == 2), [])
 

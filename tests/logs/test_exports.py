@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -37,7 +38,9 @@ def suggested(*paths: Path, code: int = 0) -> tuple[LogTable, str]:
     return read_log(out), made.read_text()
 
 
-@pytest.mark.parametrize("under", [("s,mph,kW,deg/s",), ("s,mph,kW,deg/s", ""), ("", "s,mph,kW,deg/s", "", "")])
+@pytest.mark.parametrize(
+    "under", [("s,mph,kW,deg/s",), ("s,mph,kW,deg/s", ""), ("", "made by hand", "s,mph,kW,deg/s", "", "")]
+)
 def test_a_line_of_units_with_empty_lines_about_it(tmp_path: Path, under: tuple[str, ...]) -> None:
     columns = {"Time": T, "Ground Speed": V / 0.44704, "Battery Power": W / 1e3, "Gyro Yaw Rate": np.degrees(YAW)}
     log, _ = suggested(write(tmp_path / "run" / "a.csv", columns, under))
@@ -85,6 +88,18 @@ def test_v_and_w_are_speed_and_turn_rate(tmp_path: Path, meter: dict[str, np.nda
     assert log.number("speed_m_s").max() == pytest.approx(V.max(), rel=0.01)
     assert log.number("yaw_rate_rad_s").max() == pytest.approx(YAW.max(), rel=0.01)
     assert "a guess: w beside v" in text
+
+
+def test_letters_in_messages_are_units_but_for_those_of_motion(tmp_path: Path) -> None:
+    rows = zip(T.tolist(), VOLTS.tolist(), (W / VOLTS).tolist(), V.tolist(), YAW.tolist(), strict=True)
+    lines = [{"ts": 1.7e9 + t, "data": {"v": u, "a": i}, "odom": {"v": v, "w": w}} for t, u, i, v, w in rows]
+    path = tmp_path / "run" / "a.jsonl"
+    path.parent.mkdir()
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    log, _ = suggested(path)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(V.max(), rel=0.01)
+    assert log.number("yaw_rate_rad_s").max() == pytest.approx(YAW.max(), rel=0.01)
 
 
 def test_a_turn_rate_is_no_power(tmp_path: Path) -> None:
@@ -189,3 +204,16 @@ def test_degrees_are_no_positions(tmp_path: Path) -> None:
     columns = {"t": T, "power": W, "speed": V, "position_x": -79.78 + way / 85e3, "position_y": 40.45 + way / 999e3}
     _, text = suggested(write(tmp_path / "run" / "a.csv", columns))
     assert "x_m:" not in text
+
+
+@pytest.mark.parametrize("better", [False, True])
+def test_the_speed_of_a_receiver_where_there_is_no_better_one(tmp_path: Path, better: bool) -> None:
+    run = tmp_path / "run"
+    files = [
+        write(run / "BAT.csv", {"timestamp": 1.7e9 + T, "Volt": VOLTS, "Curr": W / VOLTS}),
+        write(run / "GPS.csv", {"timestamp": 1.7e9 + T, "Spd": V if not better else V / 2, "NSats": T % 3 + 9}),
+    ]
+    if better:
+        files.append(write(run / "odom.csv", {"timestamp": 1.7e9 + T, "Spd": V}))
+    log, _ = suggested(*files)
+    assert log.number("speed_m_s").max() == pytest.approx(V.max(), rel=0.01)

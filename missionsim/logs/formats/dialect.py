@@ -148,11 +148,11 @@ def sniff(
     cells = tuple(cells_of(first, delimiter))
     names = tuple(header) or cells
     between = [i for i in range(skipped + 1, rows) if lines[i].strip()]  # of which there may be empty ones about it
-    if len(between) == 1 and len(units := cells_of(lines[between[0]], delimiter)) == len(names):
+    if between and len(units := cells_of(lines[between[-1]], delimiter)) == len(names):
         names = tuple(
             f"{name} [{unit.strip('[]() ')}]" if unit else name for name, unit in zip(names, units, strict=True)
         )
-        note("a line of units stands under the names", "each unit was written behind its name", between[0] + 1)
+        note("a line of units stands under the names", "each unit was written behind its name", between[-1] + 1)
     headless = not header and all(is_number(name) or not name for name in names)
     if not header and len(body) > 3 and (shape := _shape(cells)).count("1") > 1:  # numbers where the rows have theirs
         headless = headless or sum(_shape(cells_of(line, delimiter)) == shape for line in body) > 0.9 * len(body)
