@@ -175,7 +175,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")}
     used |= set(re.findall(r"\w+", " ".join(draft.let.values())))
     return Suggestion(
-        _text(draft, joined or [paths[0]], used),
+        _text(draft, [*joined] or [paths[0]], used),
         {name: guess for name, (_, guess) in draft.columns.items()},
         tuple(draft.missing),
         tuple(draft.remarks),
@@ -188,7 +188,7 @@ def _single(path: Path) -> Draft:
     draft = Draft({one.name: one for one in fields}, reader.table is not None)
     if reader.table is not None:
         if recognised(draft.fields) is not None:
-            return _joined([path])
+            return _joined({path: [path]})
         raw = reader.table(path, Options(most=100))
         draft.remarks += [f"{r.message}; {r.action}" for r in raw.remarks if r.kind == "format" and not r.column]
         if raw.headless:
@@ -204,24 +204,35 @@ def _single(path: Path) -> Draft:
     return draft
 
 
-def _to_join(paths: Sequence[Path]) -> list[Path]:
-    """The files of one run: one of each layout, where no file has both power and motion; nothing for a lone file."""
-    layouts: dict[tuple[str, ...], Path] = {}
+def _to_join(paths: Sequence[Path]) -> dict[Path, list[Path]]:
+    """The files of one run: one of each layout, with all of its layout, where no file has both power and motion;
+    nothing for a lone file."""
+    layouts: dict[tuple[str, ...], list[Path]] = {}
     for path in paths[:50]:
         reader = reader_of(path)
         names = (one.name for one in fields_of(path, reader, 50)) if reader.table is not None else (reader.name,)
-        layouts.setdefault(tuple(names), path)
+        layouts.setdefault(tuple(names), []).append(path)
     if len(layouts) < 2:
-        return []
-    for path in layouts.values():
+        return {}
+    for path, *_ in layouts.values():
         roles = {guess.role for guess in guess_all(fields_of(path, most=2_000)).values() if guess.score > 0.8}
         if roles & {"power", "voltage"} and roles & {"speed", "left"}:
-            return []
-    return list(layouts.values())
+            return {}
+    return {alike[0]: alike for alike in layouts.values()}
 
 
-def _joined(paths: Sequence[Path]) -> Draft:
-    """Fields of several files under ``file.column``, with the time of each."""
+def _pattern(alike: Sequence[Path]) -> str:
+    """What the names of files that lie in a folder each have in common, for a map's `files`."""
+    names = [path.name for path in alike]
+    if len(set(names)) == 1 or len({path.parent for path in alike}) < len(alike):
+        return names[0]
+    begin, end = (os.path.commonprefix(some) for some in (names, [name[::-1] for name in names]))  # noqa: RUF071
+    end = end[: min(map(len, names)) - len(begin)][::-1]
+    return re.sub(r"\d[\dT_-]*\Z", "", begin) + "*" + re.sub(r"\A[\dT_-]*\d", "", end)  # no part of a date
+
+
+def _joined(paths: Mapping[Path, Sequence[Path]]) -> Draft:
+    """Fields of several files under ``file.column``, with the time of each. `paths`: with all files of its layout."""
     draft = Draft({}, False)
     # what the names of the files of a run begin with, up to and with a mark
     match = re.match(r".*[_\- ]", os.path.commonprefix([path.stem for path in paths]))  # noqa: RUF071 (names, no paths)
@@ -230,7 +241,7 @@ def _joined(paths: Sequence[Path]) -> Draft:
         alias = identifier(path.stem[len(prefix) :].strip("_- ") or path.stem).lower()
         reader = reader_of(path)
         fields = fields_of(path, reader, _MOST_ROWS)
-        pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else path.name
+        pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else _pattern(paths[path])
         if len(paths) == 1:
             alias, pattern = "log", "{run}" + path.suffix
         names, times, comment = list[str](), "", ""
@@ -239,7 +250,9 @@ def _joined(paths: Sequence[Path]) -> Draft:
             own = Draft({one.name: one for one in fields}, True)
             suggest_time(own, path)
             if own.missing:
-                draft.missing.append(f"{path.name}: no column looks like a time")
+                told = "no column looks like a time: write it in the place of TIME"
+                draft.missing.append(f"{path.parent.name}/{path.name}: {told}")
+                files.append(f"  {alias}: {{name: {quoted(pattern)}, time: TIME}}  # not found")
                 continue
             time = own.columns["time_s"][1]
             names, more = time.field.split("\n"), {"time_s": own.time_s, "title": path.name}
@@ -252,9 +265,9 @@ def _joined(paths: Sequence[Path]) -> Draft:
                     Field(name, len(rows), values, own.time_s[rows]) for name, rows, values in signals_of(mixed, long)
                 ]
                 more = {"title": path.name}
-                told = {"name": f"[{', '.join(map(quoted, long.name))}]", "value": quoted(long.value)}
-                told |= {"unit": quoted(long.unit)} if long.unit else {}
-                times += f", long: {{{', '.join(f'{key}: {value}' for key, value in told.items())}}}"
+                keys = {"name": f"[{', '.join(map(quoted, long.name))}]", "value": quoted(long.value)}
+                keys |= {"unit": quoted(long.unit)} if long.unit else {}
+                times += f", long: {{{', '.join(f'{key}: {value}' for key, value in keys.items())}}}"
         for one in fields:
             if one.name not in names:
                 name = f"{alias}.{one.name}"

@@ -20,6 +20,7 @@ from missionsim.importer.suggest_energy import (
     sum_of_cells,
     sum_of_currents,
 )
+from missionsim.importer.suggest_missing import current_alone, no_power
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -63,21 +64,11 @@ def suggest(draft: Draft) -> None:
         sources = _from_pair(draft, *pair)
     else:
         sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
+        sources = sources or _from_two_files(draft, volts, amps) or current_alone(draft, volts, amps)
     if "sides_w" in draft.let and not any(guess.field == "sides_w" for _, guess in draft.columns.values()):
         del draft.let["sides_w"], draft.fields["sides_w"]
     if not sources:
-        message = "no column looks like power, or voltage and current: write one in the place of POWER"
-        gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
-        back = [guess.field for role in ("power", "energy") for guess in draft.best(role) if goes_back(guess)]
-        if back:
-            message += f" ('{back[0]}' is what goes back into the battery)"
-        elif charge := draft.best("charge"):
-            why = ", no energy" if volts else ": without a voltage there is no energy in it"
-            message += f" ('{charge[0].field}' is a charge{why})"
-        elif name := next((name for name in draft.fields if re.search(gauge, words_of(name)[0])), ""):
-            message += f" ('{name}' is a gauge: there are no watts in it)"
-        draft.missing.append(message)
-        draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))
+        no_power(draft, volts)
         return
     _rows(draft, sources)
     other = [
@@ -222,6 +213,14 @@ def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
     sure = amps.sure if not why.startswith("?") else "a guess"
     draft.column("current_robot_a", f"{sign}{i}", replace(amps, sure=sure, why=f"{amps.why}; {why.lstrip('?')}"))
     return [volts.field, amps.field]
+
+
+def _from_two_files(draft: Draft, volts: list[Guess], amps: list[Guess]) -> list[str]:
+    """The only voltage and the only current of several files, as meters write them that have a file for each."""
+    if draft.direct or "files" not in draft.head or (len(volts), len(amps)) != (1, 1):
+        return []
+    told = [replace(one, sure="likely", why=f"{one.why}; in a file of its own") for one in (volts[0], amps[0])]
+    return _from_pair(draft, *told)
 
 
 def _sign(draft: Draft, volts: Guess, amps: Guess) -> tuple[str, str]:

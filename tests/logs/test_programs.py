@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command as main
-from missionsim.logs import LogTable, read_log
+from missionsim.logs import LogTable, read_log, read_logs
 from missionsim.logs.formats.delimited import read_csv
 from missionsim.logs.readers import Options
 from missionsim.logs.times import is_fine
@@ -445,3 +445,73 @@ def test_times_of_other_programs(tmp_path: Path) -> None:
     log = suggested(tmp_path, write(tmp_path / "c.csv", head, stamps, -watts[::10], v[::10]))
     assert log.time_s[-1] == pytest.approx(T[::10][-1])
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.02)
+
+
+def by_hand(folder: Path, path: Path, *changes: tuple[str, str]) -> LogTable:
+    """The log of a folder by its suggested map, which is not complete, once the user has filled it in."""
+    made, out = folder / "made.yaml", folder / "out.parquet"
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 1
+    text = made.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    made.write_text(text)
+    assert main(["import", str(path), "--map", str(made), "--out", str(out), "--quiet"]) == 0
+    return read_log(out)
+
+
+def test_voltage_and_current_in_files_of_their_own(tmp_path: Path) -> None:
+    watts, run = loggers.power(T), tmp_path / "run"
+    run.mkdir()
+    files = [
+        write(run / "main_current.csv", "Timestamp (s),Main Current (A)", T, watts / 24),
+        write(run / "main_voltage.csv", "Timestamp (s),Main Voltage (V)", T, 24 - watts / 1e5),
+        write(run / "odom.csv", "Timestamp (s),Linear velocity (m/s)", T, loggers.speed(T)),
+    ]
+    assert suggested(tmp_path, *files).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_a_current_without_a_voltage_and_names_with_dates(tmp_path: Path) -> None:
+    watts = loggers.power(T)
+    for i in range(2):
+        run = tmp_path / "all" / f"run{i}"
+        run.mkdir(parents=True)
+        write(run / f"ppk-2024051{i}T0921{i}0.csv", "Timestamp(ms),Current(uA)", 1000 * T, watts / 5 * 1e6)
+        write(run / "odom.csv", "t_ms,v_m_s", 1000 * T, loggers.speed(T))
+    made = tmp_path / "made.yaml"
+    assert main(["import", str(tmp_path / "all"), "--suggest", "--out", str(made), "--quiet"]) == 1
+    assert "name: ppk-*.csv" in made.read_text()
+    made.write_text(made.read_text().replace("VOLTS *", "5 *"))
+    out = tmp_path / "out"
+    assert main(["import", str(tmp_path / "all"), "--map", str(made), "--out", str(out), "--quiet"]) == 0
+    assert [log.energy_wh("robot") for log in read_logs(out)] == pytest.approx([WH, WH], rel=0.01)
+
+
+def test_files_without_a_header(tmp_path: Path) -> None:
+    run, watts = tmp_path / "run", loggers.power(T)
+    run.mkdir()
+    stamp = [1715678493 + T.astype(int), (np.round(T % 1, 1) * 1e9).astype(int)]
+    write(run / "battery.csv", "", *stamp, ["base"] * len(T), 24 + 0 * T, -watts / 24)
+    write(run / "odom.csv", "", *stamp, ["odom"] * len(T), 0 * T, 0 * T, loggers.speed(T))
+    for path in run.iterdir():
+        path.write_text(path.read_text().lstrip())
+    signals = 'signals: {volts: "battery.#4", amps: "battery.#5", v: "odom.#6"}\ncolumns:'
+    log = by_hand(tmp_path, run, ("columns:", signals), ("POWER  ", "volts * -amps\n  speed_m_s: v  "))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
+
+
+def test_a_file_whose_time_is_not_found_stays_in_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    write(run / "meter.csv", "t,watt", T, loggers.power(T))
+    write(run / "odom.csv", "when,vel", T, loggers.speed(T))
+    log = by_hand(
+        tmp_path,
+        run,
+        ("time: TIME", "time: when"),
+        ("signals:", "signals:\n  v: odom.vel"),
+        ("columns:", "columns:\n  speed_m_s: v"),
+    )
+    assert "run/odom.csv: no column looks like a time" in capsys.readouterr().err
+    assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
