@@ -14,6 +14,8 @@ from missionsim.importer.mapping import import_source
 from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, read_log, read_logs
+from missionsim.logs.formats.delimited import read_csv
+from missionsim.logs.readers import Options
 from tests.logs import loggers
 from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_diagnostics_bag, write_ulog
 from tests.logs.conftest import motion
@@ -282,3 +284,46 @@ def test_a_header_that_stands_again(tmp_path: Path, order: tuple[int, ...], unit
         (tmp_path / "map.yaml").write_text(suggest_map([tmp_path / "log.csv"]).text)
         logs = import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))
         assert [log.rows for log in logs] == [300, 300]
+
+
+@pytest.mark.parametrize(
+    ("second", "told"),
+    [
+        ("t,watts,v", "a second header, with other names"),
+        ("time_s,power_w", "a second header, with 2 columns in place of 3"),
+    ],
+)
+def test_a_second_header_of_another_recording(tmp_path: Path, second: str, told: str) -> None:
+    first, other = two_recordings()
+    rows = [
+        ["time_s", "power_w", "speed_m_s"],
+        *first,
+        second.split(","),
+        *(row[: second.count(",") + 1] for row in other),
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    with pytest.raises(InputError, match=told) as caught:
+        suggest_map([tmp_path / "log.csv"])
+    assert [fault.line for fault in caught.value.faults] == [302]
+
+
+def test_a_header_that_stands_again_is_told_once(tmp_path: Path) -> None:
+    first, second = two_recordings()
+    head = ["time_s", "power_w", "speed_m_s"]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [head, *first, head, *second]) + "\n")
+    remarks = [one for one in read_csv(tmp_path / "log.csv", Options()).remarks if one.severity == "warning"]
+    assert [(one.line, one.count) for one in remarks] == [(302, 1)]
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ("ms:{},bus_V:11.8,current_mA:608", "each cell is a label with its value"),
+        ("{},1,2,3", "40 of 40 rows have 4 values, where the header names 1 column"),
+    ],
+)
+def test_lines_that_are_no_rows_are_told_once(tmp_path: Path, row: str, told: str) -> None:
+    (tmp_path / "log.csv").write_text("logger v1\n" + "".join(row.format(i) + "\n" for i in range(40)))
+    with pytest.raises(InputError, match=told) as caught:
+        read_csv(tmp_path / "log.csv", Options())
+    assert len(caught.value.faults) == 1

@@ -31,6 +31,7 @@ from missionsim.logs.formats.dialect import (
     one_byte_encoding,
     sniff,
 )
+from missionsim.logs.formats.second_header import of_the_whole, refuse_second_header
 from missionsim.logs.raw import RawTable, Remark, from_arrow, leave_out_codes, measures, tallies_of, wanted_kind
 from missionsim.logs.readers import Options, Reader
 from missionsim.logs.times import is_stamp
@@ -223,7 +224,7 @@ class _File:
         raw = from_arrow(
             pa.Table.from_batches(batches, self.schema), str(self.path), self.lines, first_row, dialect.decimal
         )
-        _refuse_other_order(raw, dialect.names)
+        refuse_second_header(raw, dialect.names)
         raw.remarks[:0] = dialect.remarks if not first_row else []
         raw.headless, raw.names = dialect.headless, dialect.names
         for name, word in zip(dialect.names, dialect.first, strict=False):
@@ -246,20 +247,10 @@ class _File:
             )
 
 
-def _refuse_other_order(raw: RawTable, names: Sequence[str]) -> None:
-    """Raise InputError where a column of numbers has the name of another one in a cell: a second header, of a recording
-    whose columns stand in another order."""
-    plain = {name: re.sub(r" (\[[^]]*\]|#\d+)\Z", "", name) for name in names}
-    for name, labels in raw.odd.items():
-        for code, word in enumerate(labels.names):
-            if word.strip() in plain.values() and word.strip() != plain.get(name):
-                line = raw.line(int(np.argmax(labels.codes == code)))
-                told, hint = "a second header, with its columns in another order", f"a file that begins at line {line}"
-                raise InputError(Fault(raw.file, line, 0, told, name, word, "one recording a file", hint))
-
-
 def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fault]:
     """Find by a slow second reading what stopped the fast one: each bad cell with line and column."""
+    if whole := of_the_whole(path, dialect):
+        return whole
     file, rows, more = str(path), 0, 0
     faults: list[Fault] = []
     try:

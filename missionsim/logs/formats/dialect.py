@@ -20,7 +20,7 @@ from missionsim.logs.times import is_stamp
 MISSING_WORDS = (
     "", "#N/A", "#NA", "-NaN", "-nan", "N/A", "NA", "NULL", "NaN", "n/a", "nan", "null", "None", "none", "NAN",
 )  # fmt: skip
-_UNITS = {
+UNITS = {
     "s", "ms", "us", "µs", "ns", "sec", "min", "h", "V", "mV", "A", "mA", "uA", "W", "kW", "mW", "Wh", "kWh", "J",
     "kJ", "m", "mm", "cm", "km", "m/s", "km/h", "kmh", "kph", "mph", "mm/s", "cm/s", "rad", "rad/s", "deg", "°",
     "deg/s", "°/s", "rpm", "1/min", "°C", "C", "degC", "K", "%", "Hz", "kg", "g", "N", "Nm", "m/s²", "m/s^2", "-",
@@ -70,7 +70,7 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
         # the last line above the rows may hold units: in brackets, or mostly ones that loggers write
         told = list(filter(None, cells_of(lines[above[-1]], mark)))
         units = all(text[0] in "[(" and text[-1] in "])" for text in told)
-        units |= sum(text in _UNITS for text in told) >= 0.5 * len(told)
+        units |= sum(text in UNITS for text in told) >= 0.5 * len(told)
         names = above[-2] if len(above) > 1 and told and units else above[-1]
         return None if (names, rows[0]) == (start, start + 1) else (names, rows[0], mark)
     return None
