@@ -208,10 +208,11 @@ def _to_join(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     """The files of one run: one of each layout, with all of its layout, where no file has both power and motion;
     nothing for a lone file."""
     layouts: dict[tuple[str, ...], list[Path]] = {}
+    called: dict[str, tuple[str, ...]] = {}  # files of one name, in folders of runs, are of one layout
     for path in paths[:50]:
         reader = reader_of(path)
         names = (one.name for one in fields_of(path, reader, 50)) if reader.table is not None else (reader.name,)
-        layouts.setdefault(tuple(names), []).append(path)
+        layouts.setdefault(called.setdefault(path.name, tuple(names)), []).append(path)
     if len(layouts) < 2:
         return {}
     for path, *_ in layouts.values():

@@ -515,3 +515,14 @@ def test_a_file_whose_time_is_not_found_stays_in_the_map(tmp_path: Path, capsys:
     )
     assert "run/odom.csv: no column looks like a time" in capsys.readouterr().err
     assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
+
+
+def test_files_of_one_name_in_folders_of_runs_are_one_file_of_each(tmp_path: Path) -> None:
+    for i in range(3):
+        run = tmp_path / "all" / f"run{i}"
+        run.mkdir(parents=True)
+        write(run / "odom.csv", "t,v_m_s", T, loggers.speed(T))
+        write(run / "serial.csv", f"started {i},logger", T.astype(int) * 0 + i, T)
+    made = tmp_path / "made.yaml"
+    assert main(["import", str(tmp_path / "all"), "--suggest", "--out", str(made), "--quiet"]) == 1
+    assert made.read_text().splitlines()[0].startswith("# suggested for odom.csv, serial.csv:")
