@@ -54,12 +54,12 @@ def read(root: Value, site: Site) -> None:
     items: list[Item] = []
     for value in mission.entries("items"):
         items += _items(value, site)
-    home = [value.number() for value in mission.entries("plannedHomePosition")[:2]]
-    if not home and (place := mission.get("plannedHomePosition")):
-        numbers = [value.number() for value in place.entries("coordinate")[:2]] if isinstance(place.data, dict) else []
-        home = numbers
-    for key in ("geoFence", "rallyPoints"):
-        if (part := root.get(key)) and any(part.fields.get(k) for k in _SHAPES):
+    planned = mission.get("plannedHomePosition")
+    held = planned and (planned.get("coordinate") or planned)  # a place, or an item that is there
+    home = [value.number() for value in held.entries()[:2]] if held else []
+    for key in ("geoFence", "rallyPoints", "complexItems"):
+        part = root.get(key)
+        if part is not None and (any(part.fields.get(k) for k in _SHAPES) or (part.data and not part.fields)):
             site.tell(f"left out: {key}", part.line)
     if root.faults.found:
         return
@@ -97,7 +97,7 @@ def read_text(text: str, site: Site) -> None:
         faults.add(1, "a plan without waypoints")
     faults.stop()
     first = items[0]
-    at_home = first.number == 0
+    at_home = first.number == 0 and first.command == WAYPOINT  # corners of a fence (5001 …) are no home
     build(items[at_home:], first.place if at_home else None, None, site)
 
 

@@ -63,6 +63,8 @@ class _Level:
     shift: complex = 0.0
     _: KW_ONLY
     graphs: set[int] = field(default_factory=set)
+    laid: bool = False
+    """Whether it lies over the reference level."""
 
     def at(self, point: complex) -> complex:
         """Metres of a point of the file."""
@@ -198,6 +200,7 @@ def _scales(levels: dict[str, _Level], reference: _Level, site: Site) -> None:
         level.turn = cmath.rect(1.0, -cmath.phase(sum(cmath.rect(1.0, cmath.phase(b / a)) for a, b in bonds)))
         level.scale = reference.scale / relative
         level.shift = -sum(level.at(b) - reference.scale * a for a, b in pairs) / len(pairs)
+        level.laid = True
 
 
 def _pixels(level: _Level) -> list[float]:
@@ -304,9 +307,10 @@ def _align_by_lifts(levels: dict[str, _Level], reference: _Level, site: Site) ->
     for level in levels.values():
         for vertex in level.vertices:
             home, own = fixed.get(vertex.cabin), vertex.point
-            if level is reference or level.shift or home is None or own is None or level.turn != 1.0:
+            if level is reference or level.laid or home is None or own is None:
                 continue
             level.shift = reference.at(home) - level.at(own)
+            level.laid = True
             site.tell("level without fiducials is laid over the reference level by a lift's cabin", level.value.line)
 
 

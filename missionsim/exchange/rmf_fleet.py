@@ -131,9 +131,9 @@ def read_fleet(path: str | Path) -> Fleet:
     if "max_speed" not in result.limits and not faults.found:
         (limits or fleet).fault("the top speed is missing", "limits: {linear: [0.5, 0.75]}")
     faults.stop()
-    result.robots = tuple(name for name, _ in fleet.items("robots"))
+    result.robots = tuple(name for part in (fleet, root) for name, _ in part.items("robots"))
     for key, value in [*fleet.items(), *((key, value) for key, value in root.items() if key != "rmf_fleet")]:
-        if key not in _TAKEN and key != "robots":
+        if key not in _TAKEN:
             result.remarks[key] = Remark(f"left out: {clean(key)[:60]}", value.line)
     result.remarks["drive"] = Remark("drive: differential is assumed", 0)
     result.remarks["slope"] = Remark("rmf_battery's formula knows no slope; the effect grade adds it", 0)

@@ -28,7 +28,7 @@ from missionsim.inputs.mission import MissionSpec
 _NODE_KEYS = ("vehicleTypeNodeProperties", "mobileRobotTypeNodeProperties")
 _EDGE_KEYS = ("vehicleTypeEdgeProperties", "mobileRobotTypeEdgeProperties")
 _ACTION_KEYS = ("actions", "requiredActions", "feasibleActions")
-_PROPERTIES_USED = {"vehicleTypeId", "mobileRobotTypes", "maxSpeed", "maximumSpeed", "trajectory"}
+_PROPERTIES_USED = {"vehicleTypeId", "mobileRobotTypeId", "mobileRobotTypes", "maxSpeed", "maximumSpeed", "trajectory"}
 
 
 def read_layout(root: Value, site: Site) -> None:
@@ -112,8 +112,9 @@ def read_layout(root: Value, site: Site) -> None:
 
 
 def _types(one: Value) -> set[str]:
-    """Types of vehicle that properties are for: one id (1.x), or names of series (2.0)."""
-    return {one.word("vehicleTypeId"), *(kind.word("seriesName") for kind in one.entries("mobileRobotTypes"))} - {""}
+    """Types of vehicle that properties are for: one id (1.x and drafts of 2.0), or names of series (2.0)."""
+    series = (kind.word("seriesName") for kind in one.entries("mobileRobotTypes"))
+    return {one.word("vehicleTypeId"), one.word("mobileRobotTypeId"), *series} - {""}
 
 
 def nurbs_length(
@@ -180,11 +181,12 @@ def read(root: Value, site: Site) -> None:
     nodes = _ordered(root, "nodes")
     edges = dict(_ordered(root, "edges"))
     if not nodes:
-        root.fault("an order without nodes", "at least one node")
+        if not root.faults.found:
+            root.fault("an order without nodes", "at least one node")
         return
     site.speed = site.options.robot.body.max_speed.value if site.options.robot else None
     names: dict[str, str] = {}
-    here = ""
+    here = before = ""
     for number, node in nodes:
         name = _node(node, site, names)
         if name is None:
@@ -192,8 +194,8 @@ def read(root: Value, site: Site) -> None:
         if not here:
             site.start = name
         else:
-            _edge(edges.pop(number - 1, None), node, here, name, site)
-        here = name
+            _edge(_leading(edges, number, (before, node.word("nodeId")), site), node, here, name, site)
+        here, before = name, node.word("nodeId")
         for action in node.entries("actions"):
             kind = action.word("actionType")
             given = [p for p in action.entries("actionParameters") if isinstance(p.data, dict)]
@@ -252,6 +254,22 @@ def _node(node: Value, site: Site, names: dict[str, str]) -> str | None:
     title = node.word("nodeDescription") or node.word("nodeDescriptor")
     names[identity] = site.place(identity, where, heading=heading, title=title)
     return names[identity]
+
+
+def _leading(edges: dict[int, Value], number: int, ends: tuple[str, str], site: Site) -> Value | None:
+    """Take out the edge that leads to a node: its sequenceId is one below the node's; where writers number otherwise
+    (all nodes, then all edges), the first one between these nodes."""
+    between = [
+        n for n in (number - 1,) if n in edges and (edges[n].get("startNodeId") is None or _ends(edges[n]) == ends)
+    ]
+    if not between and (between := [n for n, edge in edges.items() if _ends(edge) == ends]):
+        told = "sequenceId of an edge is not one below that of its endNodeId: startNodeId and endNodeId hold"
+        site.tell(told, edges[between[0]].line)
+    return edges.pop(between[0] if between else number - 1, None)
+
+
+def _ends(edge: Value) -> tuple[str, str]:
+    return str(edge.fields.get("startNodeId")), str(edge.fields.get("endNodeId"))
 
 
 def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> None:

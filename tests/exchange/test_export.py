@@ -77,6 +77,16 @@ def test_faults_of_a_fleet_config(old: str, new: str, line: int, says: str, tmp_
     assert [(fault.line, fault.message) for fault in caught.value.faults] == [(line, says)], caught.value
 
 
+@pytest.mark.parametrize("indent", ["", "  "])
+def test_what_a_fleet_says_of_each_robot_is_told(indent: str, tmp_path: Path) -> None:
+    of_each = f"\n{indent}robots:\n{indent}  one: {{charger: c1}}\n"
+    text = (FILES / "cart_config.yaml").read_text().split("\n  robots:")[0]
+    (tmp_path / "c.yaml").write_text(text.rstrip() + of_each)
+    fleet = read_fleet(tmp_path / "c.yaml")
+    assert fleet.robots == ("one",)
+    assert any("robots" in remark.message for remark in fleet.remarks.values())
+
+
 def test_shared_fleets_become_robots(shared: Path) -> None:
     configs = sorted((shared / "sites").glob("open_rmf/*_config.yaml"))
     if not configs:

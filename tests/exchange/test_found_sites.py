@@ -116,6 +116,18 @@ def test_layouts_of_version_2(tmp_path: Path) -> None:
     assert any("several origins" in message for message in site_of(tmp_path / "l.json", content).remarks)
 
 
+def test_types_of_robots_of_the_drafts_between_1_and_2(tmp_path: Path) -> None:
+    content = layout(maximumSpeed=1.5)
+    for one, name in zip(
+        content["origins"][0]["layouts"][0]["edges"][0]["mobileRobotTypeEdgeProperties"], ("T1", "T2"), strict=True
+    ):
+        del one["mobileRobotTypes"]
+        one["mobileRobotTypeId"] = name
+    site = site_of(tmp_path / "l.json", content, vehicle="T1")
+    assert [edge["max_speed"] for edge in site.edges] == [1.5]
+    assert not any("mobileRobotTypeId" in message for message in site.remarks)
+
+
 def order(*limits: float) -> dict[str, Any]:
     """Nodes 10 m apart; edges as a ROS message writes them: what is not given is empty or 0."""
     nodes = [
@@ -143,6 +155,31 @@ def test_order_with_limits_above_the_robot_and_empty_parts_is_driven(limits: tup
     )
     assert "left out: zones 'z'" in site.remarks
     assert not any("straight" in message for message in site.remarks)
+
+
+@pytest.mark.parametrize(("nodes", "edges"), [((1, 2, 3), (4, 5)), ((0, 1, 2), (0, 1)), ((0, 1, 2), (1, 2))])
+def test_edges_that_are_numbered_otherwise_are_known_by_their_ends(
+    nodes: tuple[int, ...], edges: tuple[int, ...], tmp_path: Path
+) -> None:
+    content = order(0.5, 0.3)
+    for node, number in zip(content["nodes"], nodes, strict=True):
+        node["sequenceId"] = number
+    for i, (edge, number) in enumerate(zip(content["edges"], edges, strict=True)):
+        edge |= {"sequenceId": number, "startNodeId": f"n{i}", "endNodeId": f"n{i + 1}"}
+    site = site_of(tmp_path / "o.json", content)
+    assert [(edge["from"], edge["to"], edge["max_speed"]) for edge in site.edges] == [
+        ("n0", "n1", 0.5),
+        ("n1", "n2", 0.3),
+    ]
+
+
+def test_an_order_whose_nodes_have_no_number_is_not_said_to_have_no_nodes(tmp_path: Path) -> None:
+    content = order(0.5)
+    for node in content["nodes"]:
+        del node["sequenceId"]
+    with pytest.raises(InputError) as problem:
+        site_of(tmp_path / "o.json", content)
+    assert "without nodes" not in str(problem.value)
 
 
 def test_state_message_is_no_order(tmp_path: Path) -> None:
@@ -191,6 +228,39 @@ def test_lift_of_a_map_in_metres_joins_its_levels(tmp_path: Path) -> None:
     )
     site = site_of(tmp_path / "m.building.yaml", text)
     assert len({edge["from"] for edge in site.edges}) == 1
+
+
+def test_fiducials_hold_before_a_lift(tmp_path: Path) -> None:
+    # both drawings lie over each other by their fiducials; the lift is drawn 10 pixels off
+    text = "coordinate_system: reference_image\nname: m\nlevels:\n" + "".join(
+        f"""  L{i}:
+    fiducials: [[0, 0, a], [100, 0, b]]
+    measurements: [[0, 1, {{distance: [3, 10]}}]]
+    vertices: [[0, 0, 0, ""], [100, 0, 0, ""], [{50 + 10 * i}, 0, 0, "", {{lift_cabin: [1, up]}}], [200, 0, 0, end_{i}]]
+    lanes: [[2, 3, {{bidirectional: [4, true]}}]]
+"""
+        for i in (0, 1)
+    )
+    site = site_of(tmp_path / "m.building.yaml", text + "lifts: {up: {level_doors: {L0: [d], L1: [d]}}}\n")
+    assert site.places["end_1"]["x"] == site.places["end_0"]["x"] == 20.0
+    assert not any("without fiducials" in message for message in site.remarks)
+
+
+def test_plan_of_old_versions_has_its_home_as_an_item(tmp_path: Path) -> None:
+    home, *items = (
+        {"command": 16, "coordinate": [47.0 + i / 1000, 8.0, 0], "frame": 3, "id": i, "type": "missionItem"}
+        for i in range(3)
+    )
+    content = {"complexItems": [{"id": 3}], "items": items, "plannedHomePosition": home, "version": "1.0"}
+    site = site_of(tmp_path / "old.mission", content)
+    assert lengths(site) == pytest.approx([111.18, 111.18], rel=1e-3)
+    assert "left out: complexItems" in site.remarks
+
+
+def test_a_fence_is_no_mission(tmp_path: Path) -> None:
+    rows = [f"{i} 0 0 5001 3 0 0 0 40.07{i} -105.23 0 1" for i in range(3)]
+    with pytest.raises(InputError, match="a plan without waypoints"):
+        site_of(tmp_path / "fence.txt", "\n".join(["QGC WPL 110", *rows]))
 
 
 def test_survey_whose_writer_left_out_its_items(tmp_path: Path) -> None:

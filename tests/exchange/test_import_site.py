@@ -221,7 +221,7 @@ def test_shared_campus_is_as_long_as_on_the_ellipsoid(shared: Path) -> None:
         ("hall.lif.json", '"x": 10.0, "y": 0.0}, "veh', '"x": 1e400, "y": 0.0}, "veh', "impossible value"),
         ("rover.plan", "47.0, 8.001, 0", "147.0, 8.001, 0", "no latitude and longitude"),
         ("rover.waypoints", "8.001", "here", "not a waypoint"),
-        ("order.json", '"sequenceId": 3', '"sequenceId": 5', "an edge that leads to no node"),
+        ("order.json", '3, "released": false, "startNodeId": "B"', '5, "x": "C"', "an edge that leads to no node"),
         ("hill.gpx", 'lat="47.0005"', 'lat="470005"', "needs lat and lon"),
         ("hill.gpx", "</trkpt>", "</trkpnt>", "not XML"),
         ("streets.graphml", 'target="12"', 'target="13"', "no node has this id"),
