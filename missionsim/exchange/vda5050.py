@@ -71,10 +71,7 @@ def read_layout(root: Value, site: Site) -> None:
         others = [action for action in actions if action.word("actionType").lower() != "startcharging"]
         for action in others:
             site.tell("left out: action of a node", action.line)
-        heading = next((angle for one in properties if (angle := one.optional("theta")) is not None), None)
-        if heading is not None and abs(heading) > 2 * math.pi:
-            site.tell("left out: theta of a node beyond 2 pi (the format has radians)", node.line)
-            heading = None
+        heading = next((angle for one in properties if (angle := _heading(one, site)) is not None), None)
         title = node.word("nodeName") or node.word("nodeDescription") or node.word("nodeDescriptor")
         where = (numbers[0], numbers[1])
         charger = len(others) < len(actions)
@@ -109,6 +106,14 @@ def read_layout(root: Value, site: Site) -> None:
                 site.edge(start, end, edge.line, name=edge.word("edgeId"), length=length, max_speed=speed)
     if not names:
         root.fault("a layout without nodes", "layouts with nodes")
+
+
+def _heading(holder: Value, site: Site) -> float | None:
+    angle = holder.optional("theta")
+    if angle is not None and abs(angle) > 6.3:
+        site.tell("left out: theta of a node beyond 2 pi (the format has radians)", holder.line)
+        return None
+    return angle
 
 
 def _types(one: Value) -> set[str]:
@@ -249,7 +254,7 @@ def _node(node: Value, site: Site, names: dict[str, str]) -> str | None:
     if position:
         x, y = position.optional("x"), position.optional("y")
         where = None if x is None or y is None else (x, y)
-        heading = position.optional("theta", -6.3, 6.3)
+        heading = _heading(position, site)
         site.left_out("a position", position.items(), ("x", "y", "theta"))
     title = node.word("nodeDescription") or node.word("nodeDescriptor")
     names[identity] = site.place(identity, where, heading=heading, title=title)

@@ -87,7 +87,7 @@ def explain(site: Site) -> Json:
     changes += [*_one_less(site), *_other_changes(site)]
     lines = []
     for item in short:
-        amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{in_wh(item['short_wh'])} Wh"
+        amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{in_wh(_up(item['short_wh'], 3))} Wh"
         what = "time" if item["what"] == "time" else f"battery '{item['what']}'"
         where = f"first on {item['leg']} to {item['to']}, all else as asked{unserved.get(item['what'], '')}"
         lines.append(f"{what}: {amount} short, {where}")
@@ -106,7 +106,9 @@ def explain(site: Site) -> Json:
         left = float(site.physics.initial_wh[b] - site.physics.reserve_wh[b])
         needed, leg = _needed(answer, name, left)
         if needed > left:
-            lines.append(f"battery '{name}': {in_wh(needed - left)} Wh short, first on {_name(leg)} to {leg.place}")
+            lines.append(
+                f"battery '{name}': {in_wh(_up(needed - left, 3))} Wh short, first on {_name(leg)} to {leg.place}"
+            )
     return _told(short, changes, lines)
 
 

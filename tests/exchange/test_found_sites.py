@@ -173,6 +173,14 @@ def test_edges_that_are_numbered_otherwise_are_known_by_their_ends(
     ]
 
 
+def test_a_heading_in_degrees_is_told(tmp_path: Path) -> None:
+    content = order(0.5)
+    content["nodes"][0]["nodePosition"]["theta"] = 90.0
+    site = site_of(tmp_path / "o.json", content)
+    assert "heading" not in site.places["n0"]
+    assert "left out: theta of a node beyond 2 pi (the format has radians)" in site.remarks
+
+
 def test_an_order_whose_nodes_have_no_number_is_not_said_to_have_no_nodes(tmp_path: Path) -> None:
     content = order(0.5)
     for node in content["nodes"]:

@@ -50,6 +50,8 @@ def test_no_plan_names_what_would_do_and_it_does(root: Path, tmp_path: Path) -> 
     change = next(item for item in none["why"]["would_do"] if item["change"].endswith("drive.capacity"))
     assert none["why"]["short"][0]["what"] == "drive"
     assert plan(root, tmp_path, TWO, *FEW, f"{change['change']}={change['to'] * (1 + 1e-9)} Wh")["feasible"]
+    hardly = plan(root, tmp_path, TWO, *FEW, f"{change['change']}={change['to'] * (1 - 1e-6)} Wh", code=1)
+    assert " 0.001 Wh short" in hardly["why"]["text"][0]
 
 
 # the cheapest plan holds in 93 and in 87 % of the draws
