@@ -20,7 +20,7 @@ from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, wrong_form
-from missionsim.identify.rules import demoted, outdone, refusal
+from missionsim.identify.rules import demoted, other_curve, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
@@ -146,7 +146,7 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
             shifted |= parameters_instead(model, {*shifted, *(constraints.of_column(k).effect for k in doubtful)})
         else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
             asked = [k for k in model.chosen if not constraints.of_column(k).levels]
-            doubtful = [k for k in asked if k in forms or outdone(model, k, rest)]
+            doubtful = [k for k in asked if k in forms or other_curve(model, k, rest)]
         structures = (*shifted.values(), *structures)
         unnamed = tuple(dict.fromkeys((*(constraints.of_column(k).effect for k in doubtful), *shifted)))
         named = [name for name in chosen if name not in unnamed]

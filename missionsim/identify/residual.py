@@ -169,7 +169,7 @@ def dependences(model: Model) -> list[Structure]:
             continue
         for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
             gain, p_value, values = test_curve(judge, rows, model.chosen)
-            fitted = values @ rows
+            fitted = _beside(model, values @ rows)
             size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
@@ -182,10 +182,8 @@ def dependences(model: Model) -> list[Structure]:
 
 def _words(model: Model, name: str, times: str, knots: Array, values: Array, power_w: Array) -> str:
     """What is said of a curve with values at the knots beyond the first, which is its reference. `power_w`: of the
-    curve in each row [W]; what the base can take of it is not told."""
-    layout = model.design.layout
-    base = model.design.gradient[: len(layout.parameters)].T
-    left_w = power_w - base @ np.linalg.lstsq(base, power_w, rcond=1e-9)[0]
+    curve in each row [W]; what base and effects can take of it is not told."""
+    layout, left_w = model.design.layout, _beside(model, power_w)
     what = f"residual varies with {plain(name)}" + (f" (times {plain(times)})" if times else "")
     what += f" (by {100 * float(np.mean(np.abs(left_w))) / layout.mean_power_w:.1f} % of the power)"
     if len(values) != len(knots) - 1 or known(name).text:
@@ -196,6 +194,14 @@ def _words(model: Model, name: str, times: str, knots: Array, values: Array, pow
     if texts := model.source.runs[0].texts.get(name):
         lowest, highest = (texts[int(knots[i])] if knots[i] in range(len(texts)) else "no text" for i in (bottom, top))
     return f"{what}: lowest at {lowest}, highest at {highest}"
+
+
+def _beside(model: Model, power_w: Array) -> Array:
+    """What of a curve over the rows [W] neither the base nor the effects in the model can take: along those, which it
+    was fitted beside, it may have any size."""
+    design = model.design
+    known = np.vstack([design.gradient[: len(design.layout.parameters)], design.phi[list(model.chosen)]]).T
+    return np.asarray(power_w - known @ np.linalg.lstsq(known, power_w, rcond=1e-9)[0])
 
 
 def periodic(model: Model) -> Structure | None:
@@ -327,11 +333,23 @@ def stands_without(model: Model, column: int, structure: Structure) -> bool:
 
     If not, the effect may be no more than the shadow of the structure.
     """
+    own, curve, both = _beside_curve(model, column, structure)
+    return both - curve >= STANDS * own
+
+
+def outdone(model: Model, column: int, structure: Structure) -> bool:
+    """Whether a structure's free curve in the place of an effect takes most of its gain and explains far more."""
+    own, curve, both = _beside_curve(model, column, structure)
+    return both - curve < STANDS * own < STANDS * model.constraints.settings.form_ratio * curve
+
+
+def _beside_curve(model: Model, column: int, structure: Structure) -> tuple[float, float, float]:
+    """Gain of an effect, of a structure's free curve in its place, and of both [nats]; nought where there
+    is no such curve."""
     if structure.covariate not in model.source.covariates:
-        return True
+        return 0.0, 0.0, 0.0
     rest = [k for k in model.chosen if k != column]
     rows, _ = curve_rows(model, structure.covariate, structure.times)
-    own, _, _ = test_curve(model, model.design.phi[[column]], rest)
-    curve, _, _ = test_curve(model, rows, rest)
-    both, _, _ = test_curve(model, np.vstack([rows, model.design.phi[column]]), rest)
-    return both - curve >= STANDS * own
+    own = model.design.phi[[column]]
+    effect, curve, both = (test_curve(model, some, rest)[0] for some in (own, rows, np.vstack([rows, own])))
+    return effect, curve, both

@@ -20,7 +20,7 @@ from missionsim.identify.evidence import (
 )
 from missionsim.identify.findings import Structure
 from missionsim.identify.model import Model
-from missionsim.identify.residual import stands_without
+from missionsim.identify.residual import outdone, stands_without
 from missionsim.identify.settings import FAINT_NATS, HALVED, WORSE_ENERGY_LEVEL
 from missionsim.runs.covariates import known
 
@@ -124,7 +124,7 @@ def demoted(
         between = cause_is_constant(model, column) and evidence.p_runs < 2.0 * tail
         if not stuck and not between and gain < FAINT_NATS:
             return "faint beside low-frequency noise"
-    if outdone(model, column, dependences):
+    if other_curve(model, column, dependences):
         return "its form is not right"
     # a curve over the effect's own covariate is judged as its form
     others = [s for s in (*forms.values(), *dependences) if s.covariate != candidate.covariate]
@@ -133,8 +133,8 @@ def demoted(
     return ""
 
 
-def outdone(model: Model, column: int, dependences: Sequence[Structure]) -> bool:
-    """Whether an effect that goes with speed is the shadow of a curve over its own covariate that does not."""
+def other_curve(model: Model, column: int, dependences: Sequence[Structure]) -> bool:
+    """Whether a curve over its own covariate that does not go with speed does far better than an effect that does."""
     own = model.constraints.of_column(column).covariate
     plain = [s for s in dependences if s.covariate == own and not s.times and known(own).multiplies_speed]
-    return any(not stands_without(model, column, s) for s in plain)
+    return any(outdone(model, column, s) for s in plain)

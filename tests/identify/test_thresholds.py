@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from missionsim.identify import apart, estimates, residual, simpler, stepwise
+from missionsim.identify import apart, estimates, residual, rules, simpler, stepwise
 from missionsim.identify.data import Candidate, Constraints
 from missionsim.identify.evidence import Evidence
 from missionsim.identify.findings import Structure
@@ -176,6 +176,25 @@ def test_what_keeps_half_of_its_gain_beside_a_curve_is_no_shadow(
     gains = {1: 100.0, 5: 200.0, 6: 200.0 + left}
     model = free_curve(monkeypatch, lambda _, rows, __: (gains[rows], 0.0))
     assert residual.stands_without(model, 0, Structure(COVARIATE, 0.0, 0.0, 0.1, "")) is stands
+
+
+@pytest.mark.parametrize(
+    ("left", "own", "times", "other"),
+    [
+        (45.0, 84.0, "", True),
+        (55.0, 84.0, "", False),
+        (45.0, 86.0, "", False),  # a curve that does hardly better is another form of the same
+        (45.0, 84.0, "speed_m_s", False),  # that is asked as the effect's own form
+    ],
+)
+def test_a_curve_that_does_not_go_with_speed_may_do_far_better(
+    monkeypatch: pytest.MonkeyPatch, left: float, own: float, times: str, other: bool
+) -> None:
+    """A load of the payload at rest too, which was called what it costs to carry it."""
+    gains = {1: own, 5: 100.0, 6: 100.0 + left * own / 100.0}
+    model = free_curve(monkeypatch, lambda _, rows, __: (gains[rows], 0.0))
+    monkeypatch.setattr(rules, "known", lambda _: SimpleNamespace(multiplies_speed=True))
+    assert rules.other_curve(model, 0, [Structure(COVARIATE, 0.0, 0.0, 0.1, "", times)]) is other
 
 
 def test_rows_beside_a_change_of_the_base_lie_on_a_ramp_and_two_behind_it() -> None:
