@@ -152,7 +152,7 @@ def sum_of_cells(draft: Draft, volts: list[Guess]) -> list[Guess]:
 
 def sum_of_currents(draft: Draft, volts: Guess, amps: Guess) -> Guess:
     """All currents whose names differ in a number alone, with a question, where they have one voltage together; else
-    the others are told."""
+    the others are asked for, or told where they are of other devices."""
     numbers = [name for name, one in draft.fields.items() if not isinstance(one.values, Labels)]
     alike, levels = (
         [name for name in numbers if re.sub(r"\d", "#", name) == re.sub(r"\d", "#", one.field)] for one in (amps, volts)
@@ -161,7 +161,13 @@ def sum_of_currents(draft: Draft, volts: Guess, amps: Guess) -> Guess:
         return amps
     if not draft.direct or len(levels) > 1:
         others = ", ".join(name for name in alike if name != amps.field)
-        draft.remarks.append(f"there are more currents, which were not added: {others}")
+        told = f"there are more currents, which were not added: {others}"
+        if len({name.rpartition(".")[0] for name in alike}) > 1:  # of several devices
+            draft.remarks.append(told)
+        else:
+            draft.missing.append(
+                f"{told}: is '{amps.field}' all that the battery gives? else add each times its voltage"
+            )
         return amps
     draft.missing.append(
         f"{len(alike)} currents were added up: is each that of another part of what the battery feeds?"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.importer.roles import Guess, size_of, words_of
+from missionsim.importer.roles import ROLES, UNITS, Field, Guess, folded, size_of, words_of
 from missionsim.importer.suggest_energy import goes_back
+from missionsim.labels import Labels
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
@@ -29,6 +31,40 @@ def current_alone(draft: Draft, volts: Sequence[Guess], amps: Sequence[Guess]) -
     formula = f"VOLTS * {sign}{draft.ref(guess.field, 'amps')}{factor}"
     draft.columns["power_robot_w"] = (formula, Guess("power", guess.field, "", 0.0, message, "not found"))
     return [guess.field]
+
+
+_EATS = r"\b(motors?|drives?|wheels?|traction|actuators?|servo\w*|heat\w*|air ?con\w*|electronics?|computer\w*)\b"
+_NO_MEAN = r"\b(max|min|peak|rated|nominal|requested|target|limit|mech\w*|shaft)\b"
+
+
+def with_larger_parts(draft: Draft, power: list[Guess]) -> list[Guess]:
+    """Powers, the first of which is the sum with those of other parts, with a question, where one of a part is larger
+    on average: so it is not all that the battery gives."""
+    if not power or not draft.direct or re.search(ROLES["power"].prefer, words_of(power[0].field)[0]):
+        return power
+    first, parts = power[0], list[tuple[str, float]]()
+    for name, one in draft.fields.items():
+        words, unit = words_of(name)
+        if name == first.field or isinstance(one.values, Labels) or folded(one) is not None:
+            continue
+        called = re.search(ROLES["power"].words, words) and re.search(_EATS, words) and not re.search(_NO_MEAN, words)
+        if called and (not unit or UNITS[unit][0] == "power"):
+            parts.append((name, size_of(unit) / size_of(first.unit)))
+    means = {name: factor * float(np.nanmean(draft.values(name))) for name, factor in parts}
+    larger = max(means, key=means.__getitem__, default="")
+    if not larger or means[larger] <= 1.02 * float(np.nanmean(draft.values(first.field))):
+        return power
+    told = f"'{first.field}' is less than '{larger}', so it is not all that the battery gives: all were added up"
+    draft.missing.append(f"{told}; is anything fed beside them?")
+    terms = [(first.field, 1.0), *parts]
+    draft.let["parts_w"] = " + ".join(
+        draft.ref(name, f"part_{i}") + (f" * {factor:g}" if factor != 1.0 else "")
+        for i, (name, factor) in enumerate(terms, 1)
+    )
+    total = np.sum([factor * draft.values(name) for name, factor in terms], axis=0)
+    draft.fields["parts_w"] = Field("parts_w", len(total), total)
+    why = f"the sum of {', '.join(name for name, _ in terms)}"
+    return [replace(first, field="parts_w", sure="a guess", score=1.0, why=why), *power]
 
 
 def no_power(draft: Draft, volts: Sequence[Guess]) -> None:

@@ -15,6 +15,7 @@ from missionsim.importer.roles import WORDS, Field, Guess, folded, size_of, word
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_energy import delivered, follows
 from missionsim.importer.suggest_turn import from_heading
+from missionsim.importer.suggest_way import from_counts, from_degrees
 from missionsim.importer.suggest_wheels import from_wheels, numbered_wheels, path_of
 from missionsim.labels import Labels
 
@@ -176,8 +177,8 @@ def _speed(draft: Draft) -> str:
         from_wheels(draft, *wheels)
     elif draft.direct and (wheel := draft.best("wheel", 0.5)):
         from_wheels(draft, wheel[0])
-    else:
-        _from_way(draft)
+    elif not _from_way(draft) and not from_degrees(draft):
+        from_counts(draft)
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
 
 
@@ -233,8 +234,8 @@ def _speed_unit(draft: Draft, guess: Guess) -> Guess:
     return guess
 
 
-def _from_way(draft: Draft) -> None:
-    """The speed as the rate of an odometer, or of positions; its sign is lost."""
+def _from_way(draft: Draft) -> bool:
+    """The speed as the rate of an odometer, or of positions, without its sign; whether there are such."""
     for guess in draft.best("distance", 0.5) if draft.direct else ():
         values = draft.values(guess.field)
         if (np.diff(values[np.isfinite(values)]) >= 0).mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
@@ -242,14 +243,16 @@ def _from_way(draft: Draft) -> None:
             ref = draft.ref(guess.field, "way") + (f" * {factor:g}" if factor != 1.0 else "")
             told = replace(guess, unit="", sure="likely", why=f"rate of '{guess.field}', without its sign")
             draft.columns["speed_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
-            return
-    if path := path_of(draft):
+            return True
+    if (path := path_of(draft)) is not None:
         told = replace(path[0][0], unit="", sure="likely", why="rate of the positions, without its sign")
         for axis, guess in zip("xy", path[0], strict=True):
             ref = _moving(draft, guess.field, axis)
-            draft.columns[f"_v{axis}_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
+            metres = f"{ref} * {size_of(guess.unit):g}" if guess.unit else ref
+            draft.columns[f"_v{axis}_m_s"] = (f"{{differentiate: {metres}, average: 1 s}}", told)
             draft.column(f"{axis}_m", ref, guess)
         draft.column("speed_m_s", "hypot(_vx_m_s, _vy_m_s)", told)
+    return path is not None
 
 
 def _attitude(draft: Draft, speed: str) -> None:

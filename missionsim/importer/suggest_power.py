@@ -20,7 +20,7 @@ from missionsim.importer.suggest_energy import (
     sum_of_cells,
     sum_of_currents,
 )
-from missionsim.importer.suggest_missing import current_alone, no_power
+from missionsim.importer.suggest_missing import current_alone, no_power, with_larger_parts
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -50,7 +50,7 @@ def suggest(draft: Draft) -> None:
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
     power = [guess for guess in power if not goes_back(guess)]
     power.sort(key=lambda guess: (folded(draft.fields[guess.field]) == "constant", -_as_a_whole(guess)))
-    power = _all_sides(draft, power)
+    power = with_larger_parts(draft, _all_sides(draft, power))
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     volts.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")

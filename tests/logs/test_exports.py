@@ -217,3 +217,50 @@ def test_the_speed_of_a_receiver_where_there_is_no_better_one(tmp_path: Path, be
         files.append(write(run / "odom.csv", {"timestamp": 1.7e9 + T, "Spd": V}))
     log, _ = suggested(*files)
     assert log.number("speed_m_s").max() == pytest.approx(V.max(), rel=0.01)
+
+
+def test_a_power_that_is_less_than_a_part_is_not_all(tmp_path: Path) -> None:
+    columns = {"t": T, "v": V, "motor_power": W - 3.0, "electronics_power": 3.0 + 0.1 * np.sin(T)}
+    log, text = suggested(write(tmp_path / "run" / "a.csv", columns), code=1)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert "TO DO: 'electronics_power' is less than 'motor_power'" in text
+
+
+def test_channels_of_a_meter_are_asked_for(tmp_path: Path) -> None:
+    columns = {"ms": 1e3 * T, "CH1_V": VOLTS, "CH1_mA": 400 * W / VOLTS, "CH2_V": 5 + 0 * T, "CH2_mA": 120 * W}
+    _, text = suggested(write(tmp_path / "run" / "a.csv", columns | {"speed_m_s": V}), code=1)
+    assert "TO DO: there are more currents, which were not added: CH2_mA" in text
+
+
+COUNTS = np.round(np.cumsum(V) * 0.1 / 0.004)
+
+
+@pytest.mark.parametrize(
+    ("moves", "within"),
+    [
+        ({"velocity": V, "yawSpeed": YAW}, 0.001),
+        ({"monotonic": 8e4 + T, "v": V, "Gierrate (U/min)": YAW * 30 / np.pi}, 0.001),
+        ({"speed_m_s": V, "Gyro Z (mdps)": np.degrees(YAW) * 1e3}, 0.001),
+        ({"TX (mm)": 100 * np.cumsum(V), "TY (mm)": 0.0 * T}, 0.05),
+        ({"lat": 48 + 0.1 * np.cumsum(V) / 111_195, "lon": 11 + 0 * T, "heading": 0.1 * np.cumsum(YAW)}, 0.05),
+        ({"lat": 48 + 0 * T, "Longitude": 11 + 0.1 * np.cumsum(V) / 111_195 / np.cos(np.radians(48))}, 0.05),
+    ],
+)
+def test_speeds_and_turns_by_other_names(tmp_path: Path, moves: dict[str, np.ndarray], within: float) -> None:
+    time = {} if "monotonic" in moves else {"t": T}
+    log, _ = suggested(write(tmp_path / "run" / "a.csv", time | {"power_w": W} | moves))
+    assert log.number("speed_m_s").mean() == pytest.approx(V.mean(), abs=within)
+    if any("aw" in name or "yro" in name or "Gier" in name for name in moves):
+        assert np.abs(log.number("yaw_rate_rad_s")).max() == pytest.approx(np.abs(YAW).max(), rel=0.01)
+
+
+@pytest.mark.parametrize("names", [("left_ticks", "right_ticks"), ("encL", "encR"), ("Encoder Left", "Encoder Right")])
+def test_counts_of_encoders_ask_for_their_way(tmp_path: Path, names: tuple[str, str]) -> None:
+    columns = {"t": T, "power_w": W} | dict.fromkeys(names, COUNTS)
+    made = tmp_path / "made.yaml"
+    path = write(tmp_path / "run" / "a.csv", columns)
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 1
+    assert "TO DO: counts of wheels" in made.read_text()
+    made.write_text(made.read_text().replace("METRES", "0.004"))
+    assert main(["import", str(path), "--map", str(made), "--out", str(tmp_path / "a.parquet"), "--quiet"]) == 0
+    assert read_log(tmp_path / "a.parquet").number("speed_m_s").mean() == pytest.approx(V.mean(), abs=0.02)

@@ -195,7 +195,7 @@ def test_what_is_no_power_of_the_battery(tmp_path: Path) -> None:
     assert "current_robot_a: battery_current_a" in text  # no limits
     assert "power_" not in text.split("# not used")[0]
     head = "t,CH1_Voltage_V,CH1_Current_mA,CH2_Voltage_V,CH2_Current_mA"
-    text = map_of(write(tmp_path / "d.csv", head, T, 12 - watts / 99, 83 * watts, 5 + T % 3 / 99, 300 + T % 7))
+    text = map_of(write(tmp_path / "d.csv", head, T, 12 - watts / 99, 83 * watts, 5 + T % 3 / 99, 300 + T % 7), 1)
     assert "there are more currents, which were not added: CH2_Current_mA" in text
     text = map_of(write(tmp_path / "f.csv", "t,mecanum_power_w,v", T, watts, v))
     assert "power_robot_w: mecanum_power_w" in text  # its wheels, not what is mechanical
