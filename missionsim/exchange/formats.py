@@ -65,12 +65,15 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
         told = [replace(f, allowed=KNOWN) if f.message.startswith("not YAML") else f for f in problem.faults]
         raise InputError(told) from None
     data = document.data
-    known = data if isinstance(data, dict) else {}
+    known, value = data if isinstance(data, dict) else {}, Value(document, faults, document.root)
+    inside = value.get("payload") if "topic" in known else None
+    if inside is not None and isinstance(inside.data, dict):  # as brokers' clients save a message
+        known, value = inside.data, inside
     if "$schema" in known:
         raise InputError(Fault(site.file, 1, 1, "a JSON schema, not a file that follows it", allowed=KNOWN))
     for site.format, is_this, read in FORMATS:
         if is_this(known):
-            read(Value(document, faults, document.root), site)
+            read(value, site)
             faults.stop()
             return site
     if "rmf_fleet" in known:

@@ -65,7 +65,9 @@ def read(root: Element, site: Site, faults: Faults) -> None:
             if before is not None and before[-1] != chain[0]:
                 site.edge(before[-1], chain[0], both_ways=True)
                 gap = site.straight(before[-1], chain[0]) or 0.0
-                site.tell(f"a straight way of {gap:.0f} m from the end of a track to the start of the next is assumed")
+                if gap >= 0.5:  # segments that touch
+                    told = f"a straight way of {gap:.0f} m from the end of a track to the start of the next is assumed"
+                    site.tell(told)
             site.segments.append({"drive": {"along": chain[1:] if before is None or before[-1] == chain[0] else chain}})
 
 

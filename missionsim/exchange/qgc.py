@@ -67,13 +67,12 @@ def read(root: Value, site: Site) -> None:
         mission.fault("a plan without items", "items: [{command: 16, …}]")
         return
     rover = mission.optional("vehicleType") in _ROVERS
-    speed = None
-    for key in ("hoverSpeed", "cruiseSpeed") if not rover else ("cruiseSpeed", "hoverSpeed"):
-        speed = speed or mission.optional(key, 0.0, 1000.0)
+    keys = ("cruiseSpeed", "hoverSpeed") if rover else ("hoverSpeed", "cruiseSpeed")
+    speeds = {key: speed for key in keys if (speed := mission.optional(key, 0.0, 1000.0))}
+    speed = next(iter(speeds.values()), None)
     if not rover:
-        site.tell(
-            "the plan is not for a rover: waypoints are driven on the ground, hoverSpeed is the speed", mission.line
-        )
+        of = f", {next(iter(speeds))} is the speed" if speeds else ""
+        site.tell(f"the plan is not for a rover: waypoints are driven on the ground{of}", mission.line)
     start = (home[0], home[1]) if len(home) == 2 and home[0] is not None and home[1] is not None else None
     build(items, start, speed, site)
 

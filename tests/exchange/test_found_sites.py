@@ -190,6 +190,11 @@ def test_an_order_whose_nodes_have_no_number_is_not_said_to_have_no_nodes(tmp_pa
     assert "without nodes" not in str(problem.value)
 
 
+def test_an_order_in_the_envelope_of_a_broker_s_client(tmp_path: Path) -> None:
+    saved = {"topic": "uagv/v2/acme/7/order", "qos": 0, "payload": order(1.0, 1.0)}
+    assert lengths(site_of(tmp_path / "o.json", saved)) == [10.0, 10.0]
+
+
 def test_state_message_is_no_order(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a state message, not an order(?s:.)*missionsim import"):
         site_of(tmp_path / "s.json", {"orderId": "o", "nodeStates": [], "edgeStates": []})
@@ -202,6 +207,13 @@ def test_what_a_track_holds_beside_its_way_is_told(tmp_path: Path) -> None:
     remarks = site_of(tmp_path / "t.gpx", text).remarks
     assert {f"left out: {what}" for what in ("metadata of a gpx", "type of a trk", "hdop of a trkpt")} <= set(remarks)
     assert remarks["left out: time of a trkpt"].count == 2
+
+
+def test_segments_that_touch_have_no_way_between_them(tmp_path: Path) -> None:
+    parts = "".join(
+        f'<trkseg><trkpt lat="47" lon="8.0{i}"/><trkpt lat="47" lon="8.0{i + 1}"/></trkseg>' for i in (1, 2)
+    )
+    assert not any("assumed" in told for told in site_of(tmp_path / "t.gpx", f"<gpx><trk>{parts}</trk></gpx>").remarks)
 
 
 def test_navigation_graph_generated_of_a_map(tmp_path: Path) -> None:
@@ -263,6 +275,13 @@ def test_plan_of_old_versions_has_its_home_as_an_item(tmp_path: Path) -> None:
     site = site_of(tmp_path / "old.mission", content)
     assert lengths(site) == pytest.approx([111.18, 111.18], rel=1e-3)
     assert "left out: complexItems" in site.remarks
+
+
+@pytest.mark.parametrize(("speeds", "of"), [({}, ""), ({"cruiseSpeed": 2.0}, ", cruiseSpeed is the speed")])
+def test_the_speed_of_a_plan_is_the_one_that_it_has(speeds: dict[str, float], of: str, tmp_path: Path) -> None:
+    items = [{"command": 16, "coordinate": [47.0 + i / 1000, 8.0, 0], "frame": 3} for i in range(2)]
+    site = site_of(tmp_path / "p.plan", {"fileType": "Plan", "mission": {"items": items, **speeds}})
+    assert f"the plan is not for a rover: waypoints are driven on the ground{of}" in site.remarks
 
 
 def test_a_fence_is_no_mission(tmp_path: Path) -> None:
