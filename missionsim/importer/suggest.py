@@ -22,6 +22,7 @@ from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_motion import quoted
 from missionsim.importer.suggest_runs import join_runs, recognised_runs, table_of_runs
 from missionsim.importer.suggest_time import seconds_and_nanoseconds, suggest_time
+from missionsim.labels import Labels
 from missionsim.logs.clean import in_turn
 from missionsim.logs.readers import Options, reader_of
 from missionsim.physics import Array
@@ -185,7 +186,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
 def _single(path: Path) -> Draft:
     reader = reader_of(path)
     fields = fields_of(path, reader, _MOST_ROWS if reader.table else 5_000)
-    draft = Draft({one.name: one for one in fields}, reader.table is not None)
+    draft = Draft({one.name: _as_motion(one, fields) for one in fields}, reader.table is not None)
     if reader.table is not None:
         if recognised(draft.fields) is not None:
             return _joined({path: [path]})
@@ -202,6 +203,17 @@ def _single(path: Path) -> Draft:
         draft.fields, told = of_one_robot(draft.fields)
         draft.remarks += [told] if told else []
     return draft
+
+
+def _as_motion(one: Field, fields: Sequence[Field]) -> Field:
+    """A field ``topic.v`` or ``topic.w``, of which the second goes both ways, is a speed and a turn rate as in a file
+    that is joined, and neither volts nor watts."""
+    topic, _, letter = one.name.rpartition(".")
+    if topic and letter in ("v", "w"):
+        turn = next((other.values for other in fields if other.name == f"{topic}.w"), np.empty(0))
+        if not isinstance(turn, Labels) and len(turn) and np.nanmin(turn) < 0.0 < np.nanmax(turn):
+            return replace(one, joined=True)
+    return one
 
 
 def _to_join(paths: Sequence[Path]) -> dict[Path, list[Path]]:

@@ -35,7 +35,7 @@ _ROLES = (
 _NO_CAUSE = re.compile(
     r"\b(soc|charge|charging|percent\w*|battery|batt?|capacity|seq\w*|index|ids?|count\w*|frame|row|nr|no|lat\w*|lon\w*"
     r"|gps|utm|stamp\w*|header|layout|covariance|quat\w*|q ?[0-3]|orientation|status|state|mode|errors?|valid|checksum"
-    r"|crc)\b"
+    r"|crc|cells?|ticks?|enc(oders?)?|pulses?)\b"
 )
 _USUAL = re.compile(
     r"(sensor|nav|geometry|tf2?|diagnostic|rosgraph|lifecycle|trajectory|visualization|action|control|stereo|shape)_?msgs/"

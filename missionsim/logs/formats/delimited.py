@@ -31,6 +31,7 @@ from missionsim.logs.formats.dialect import (
     one_byte_encoding,
     sniff,
 )
+from missionsim.logs.formats.nested import elements, flattened, with_elements
 from missionsim.logs.formats.second_header import of_the_whole, refuse_second_header
 from missionsim.logs.raw import RawTable, Remark, from_arrow, leave_out_codes, measures, tallies_of, wanted_kind
 from missionsim.logs.readers import Options, Reader
@@ -164,7 +165,7 @@ class _File:
         import pyarrow.csv as arrow_csv
 
         names, encoding = self.dialect.names, self.dialect.encoding
-        chosen = list(filter(wants, names))
+        chosen = [name for name in names if wants is None or wants(name) or any(map(wants, elements(name)))]
         read = arrow_csv.ReadOptions(
             column_names=list(names),
             skip_rows=self.dialect.header_line,
@@ -221,12 +222,12 @@ class _File:
         import pyarrow as pa
 
         dialect = self.dialect
-        raw = from_arrow(
-            pa.Table.from_batches(batches, self.schema), str(self.path), self.lines, first_row, dialect.decimal
-        )
+        table = pa.Table.from_batches(batches, self.schema)
+        raw = with_elements(from_arrow(table, str(self.path), self.lines, first_row, dialect.decimal))
         refuse_second_header(raw, dialect.names)
         raw.remarks[:0] = dialect.remarks if not first_row else []
-        raw.headless, raw.names = dialect.headless, dialect.names
+        of_lists = [name for name in raw.columns if name not in dialect.names]
+        raw.headless, raw.names = dialect.headless, (*dialect.names, *of_lists)
         for name, word in zip(dialect.names, dialect.first, strict=False):
             if word == "none" and wanted_kind(name) != "number" and (data := raw.columns.get(name)) is not None:
                 if isinstance(data, Labels):
@@ -322,16 +323,16 @@ def _open(path: Path) -> Iterator[tuple[Any, list[str]]]:
         unreadable("the Parquet file cannot be read", file, "a whole Parquet file"),
         parquet.ParquetFile(file, memory_map=True) as handle,
     ):
-        names: list[str] = handle.schema_arrow.names
+        names: list[str] = flattened(handle.schema_arrow.empty_table()).schema.names
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError.single(f"the column '{twice[0]}' stands twice", file=file, path=twice[0])
         yield handle, names
 
 
 def read_parquet(path: Path, options: Options) -> RawTable:
-    """Read a whole Parquet file, or the columns that are wanted."""
+    """Read a whole Parquet file, or the columns that are wanted; the fields of nested ones as ``column.field``."""
     with _open(path) as (handle, names):
-        raw = from_arrow(handle.read(columns=list(filter(options.wants, names))), str(path))
+        raw = from_arrow(flattened(handle.read(columns=list(filter(options.wants, names)))), str(path))
         raw.names = tuple(names)
         return raw if options.mixed else leave_out_codes(raw)
 
@@ -339,13 +340,15 @@ def read_parquet(path: Path, options: Options) -> RawTable:
 def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
     """Read a Parquet file in blocks of at most `rows` rows, in bounded memory. With `columns`, the batteries' columns
     are read as well."""
+    import pyarrow as pa
+
     with _open(path) as (handle, names):
         chosen = None if columns is None else [name for name in names if name in columns or measures(name)]
 
         def blocks() -> Iterator[RawTable]:
             first = 0
             for batch in handle.iter_batches(batch_size=rows, columns=chosen):
-                yield from_arrow(batch, str(path), first_row=first)
+                yield from_arrow(flattened(pa.Table.from_batches([batch])), str(path), first_row=first)
                 first += batch.num_rows
 
         yield from _judged_whole(blocks)

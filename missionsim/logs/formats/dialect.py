@@ -182,19 +182,26 @@ def sniff(
     return found
 
 
-_PACKED = {
-    b"\x1f\x8b": "gzip",
-    b"PK\x03\x04": "zip, or a spreadsheet",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ": "xz",
-    b"7z\xbc": "7z",
-}
+_PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"7z\xbc": "7z"}
 """First bytes of archives."""
+_NOT_READ = (
+    (rb"PK\x03\x04.{26}(\[Content_Types\]|xl/|_rels/|docProps/|mimetype)|\xd0\xcf\x11\xe0", "a spreadsheet",
+     "its sheet: save the sheet as CSV"),
+    (rb"MATLAB 7\.3", "a MATLAB file of version 7.3", "one of version 7 (save(…, '-v7')), or writetable(…, 'run.csv')"),
+    (rb"\x89HDF", "an HDF5 file", "its table as CSV or Parquet: pandas.read_hdf(FILE).to_parquet('run.parquet')"),
+    (rb"\x80[\x02-\x05][\x95c}\](.]", "a Python pickle, which would run code", "what is in it as CSV or Parquet"),
+    (rb"\s*\(\d+\.\d+\)\s+\w+\s+[0-9A-Fa-f]{3,8}#", "a candump of a CAN bus",
+     "decode it with the DBC file of the robot, such as with cantools, into a table"),
+)  # fmt: skip
+"""What files that are no tables begin like, what they are called, and what is read in their place."""
 
 
 def _encoding(head: bytes, file: str, remarks: list[Remark]) -> str:
     """Encoding by the first bytes; what is no UTF-8 there is Latin-1 (or Windows-1252), as many loggers write it."""
     encoding = "utf-8"
+    for begin, name, allowed in _NOT_READ:
+        if re.match(begin, head, re.DOTALL):
+            raise InputError(Fault(file, 1, 1, f"this is {name}", allowed=allowed))
     if packed := next((name for begin, name in _PACKED.items() if head.startswith(begin)), ""):
         raise InputError(Fault(file, 1, 1, f"this is packed ({packed})", allowed="the table that is in it, unpacked"))
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

@@ -3,6 +3,7 @@ them; what programs print, kept in a file: ``tegrastats`` of a Jetson, messages 
 
 from __future__ import annotations
 
+import ast
 import itertools
 import json
 import math
@@ -29,6 +30,9 @@ _BEFORE = re.compile(r"(?:([^\s{\[\",;]+)\s+)?([^\s{\[\",;]+\s+)(?=\{\")")
 _EPOCH = re.compile(r"\d{9,19}(\.\d+)?\Z")
 _MOST_ELEMENTS = 16
 _MOST_FAULTS = 20
+_LEAST_ROWS = 20
+"""Values from which on a list in a lone object is a column."""
+_WHOLE_AND_FINE = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"))
 
 
 def read_json(path: Path, options: Options) -> Recording:
@@ -71,25 +75,27 @@ def read_json(path: Path, options: Options) -> Recording:
 
 
 def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
-    """Objects of a file: one a line, or one list of them."""
+    """Objects of a file: one a line, or what one value holds: a list of them, alone or in an object, or columns."""
     with open(path, encoding="utf-8-sig", errors="replace") as handle:
-        first = handle.read(1)
+        opening = handle.readline().strip()
         handle.seek(0)
-        if first == "[":
+        if opening[:1] == "[" or opening == "{" or (opening[:1] == "{" and not handle.read().count("\n{")):
+            handle.seek(0)
             try:
                 found = json.load(handle)
             except (ValueError, RecursionError) as error:
                 line = getattr(error, "lineno", 1)
                 faults.append(Fault(str(path), line, getattr(error, "colno", 1), f"this is no JSON: {error}"[:120]))
                 return
-            yield from (record for record in found if isinstance(record, dict))
+            yield from _rows_in(found)
             return
+        handle.seek(0)
         for number, line in enumerate(handle, start=1):
             if not line.strip():
                 continue
             before = _BEFORE.match(line)
             try:
-                record = json.loads(line[before.end(2) :] if before else line)
+                record = _parsed(line[before.end(2) :] if before else line)
                 if not isinstance(record, dict):
                     raise ValueError("not an object")
             except (ValueError, RecursionError) as error:
@@ -101,6 +107,42 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
                 timed = {"time": stamp} if is_stamp(stamp) or _EPOCH.match(stamp) else {}
                 record = {"topic": before[2].strip(), **timed, **record}
             yield record
+
+
+def _parsed(line: str) -> Any:
+    """The value of a line: JSON, or what Python prints of a dict (also with NumPy's numbers and ``nan``)."""
+    if not line.startswith("{'"):
+        return json.loads(line)
+    plain = re.sub(r"\bnan\b", "None", re.sub(r"\bnp\.\w+\(([^()]*)\)", r"\1", line))
+    try:
+        return ast.literal_eval(plain)
+    except (SyntaxError, MemoryError):
+        raise ValueError("nor a dict that Python printed") from None
+
+
+def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
+    """Rows of one JSON value: a list of objects, an object with such a list, or columns of one length (lists, or
+    objects of numbered cells, as pandas writes them); else the object itself."""
+    if isinstance(found, list):
+        yield from (record for record in found if isinstance(record, dict))
+        return
+    if not isinstance(found, dict):
+        return
+    lists = [one for one in found.values() if isinstance(one, list) and len(one) > 1]
+    columns = {
+        name: list(one.values()) if isinstance(one, dict) else one
+        for name, one in found.items()
+        if (isinstance(one, list) and len(one) >= _LEAST_ROWS)
+        or (isinstance(one, dict) and len(one) >= _LEAST_ROWS and all(map(str.isdigit, one)))
+    }
+    length = max(map(len, columns.values()), default=0)
+    if objects := max((one for one in lists if all(isinstance(item, dict) for item in one)), key=len, default=None):
+        yield from objects
+    elif length:
+        names = [name for name, one in columns.items() if len(one) == length]
+        yield from (dict(zip(names, row, strict=True)) for row in zip(*(columns[name] for name in names), strict=True))
+    else:
+        yield found
 
 
 def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
@@ -121,7 +163,7 @@ def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
 
 def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Options, remarks: list[Remark]) -> Topic:
     names = {one.lower(): one for one in reversed(messages[0])}
-    key = next((names[one] for one in _TIMES if one in names), None)
+    key = next((names[one] for one in _TIMES if one in names), None) or _inner_time(messages, list(names.values()))
     if key is None:
         allowed = ", ".join(_TIMES)
         raise InputError(Fault(str(path), 1, 1, f"the messages of {name} have no time", allowed=f"one of {allowed}"))
@@ -142,6 +184,22 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     return Topic(
         name, stamps.seconds[known], {field: data[known] for field, data in columns.items()}, title, len(messages)
     )
+
+
+def _inner_time(messages: list[dict[str, Any]], names: Sequence[str]) -> str | None:
+    """The time that lies deepest in no other: ``header.stamp``, whose seconds and nanoseconds are joined."""
+    for name in sorted(names, key=lambda name: name.count(".")):
+        above, _, last = name.rpartition(".")
+        if last.lower() in _TIMES:
+            return name
+        fine = next((f"{above}.{fine}" for whole, fine in _WHOLE_AND_FINE if last == whole), "")
+        if fine in names and above.rpartition(".")[2].lower() in _TIMES:
+            for message in messages:
+                parts = message.pop(name, None), message.pop(fine, None)
+                if all(isinstance(part, (int, float)) for part in parts):
+                    message[above] = parts[0] + 1e-9 * parts[1]
+            return above
+    return None
 
 
 def columns_of(
@@ -280,11 +338,13 @@ def read_echo(path: Path, options: Options) -> Recording:
 
 
 _STATS_BEGIN = re.compile(rb"(?:[^\n]{1,40}\n)?(?:\d\d-\d\d-\d{4} \d\d:\d\d:\d\d )?RAM \d+/\d+MB ")
+_PRINTED_BEGIN = re.compile(rb"(?:[^\n{]{0,200}\n){0,9}\{[\"']\w+[\"']: ")
 _ECHO_BEGIN = re.compile(rb"header:\s*\n(?:  seq: \d+\s*\n)?  stamp:")
 
 
 READERS = (
     Reader("jsonlines", "JSON lines file", (".jsonl", ".ndjson"), (b"{", b"[", b"\xef\xbb\xbf{"), recording=read_json),
+    Reader("printed", "file of printed dicts", (), recording=read_json, like=_PRINTED_BEGIN),
     Reader("broker", "file of a broker's messages", (), recording=read_json, like=re.compile(_BEFORE.pattern.encode())),
     Reader("tegrastats", "tegrastats log", (), table=read_tegrastats, like=_STATS_BEGIN),
     Reader("echo", "file of echoed messages", (), recording=read_echo, like=_ECHO_BEGIN),

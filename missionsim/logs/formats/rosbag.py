@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from functools import cache, reduce
 from operator import attrgetter, itemgetter
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.errors import InputError
 from missionsim.files import first_line, needed, unreadable
 from missionsim.logs.formats.bag_times import CLOCK_FIELDS, CLOCK_TYPE, common_times
 from missionsim.logs.formats.jsonlines import read_json_mcap
@@ -51,6 +53,7 @@ def read_bag(path: Path, options: Options) -> Recording:
     """
     remarks: list[Remark] = []
     inside = path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists()
+    _refuse_data_base(path)
     needed("rosbags.highlevel", "reading bags", str(path))
     with whole_files(path.parent if inside else path, remarks) as files:
         lone = path if not remarks else files[0]
@@ -58,6 +61,21 @@ def read_bag(path: Path, options: Options) -> Recording:
         if found is not None:
             found.remarks[:0] = remarks
         return found or _read(files, str(path), options, remarks)
+
+
+def _refuse_data_base(path: Path) -> None:
+    """Raises InputError: an SQLite file that is no bag."""
+    if not path.is_file() or path.open("rb").read(15) != b"SQLite format 3":
+        return
+    with (
+        contextlib.suppress(sqlite3.Error),
+        contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as base,
+    ):
+        tables = [name for (name,) in base.execute("select name from sqlite_master where type = 'table'")]
+        if tables and "topics" not in tables:
+            told = f"an SQLite data base that is no bag, with the tables {', '.join(tables)[:200]}"
+            allowed = f"a table as CSV: sqlite3 -header -csv {path.name} 'select * from {tables[0]}' > {path.stem}.csv"
+            raise InputError.single(told, file=str(path), allowed=allowed)
 
 
 def _read(files: list[Path], file: str, options: Options, remarks: list[Remark]) -> Recording:

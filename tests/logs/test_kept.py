@@ -1,0 +1,124 @@
+"""Files as programs keep their tables: Arrow, MATLAB, NumPy, data bases, JSON of other shapes; and what is refused."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.feather as feather
+import pyarrow.parquet as parquet
+import pytest
+from scipy.io import savemat
+
+from missionsim.cli.app import run_command as main
+from missionsim.logs import LogTable, read_log
+from tests.logs import loggers
+
+T = np.arange(0.0, loggers.LENGTH_S, 0.1).round(1)
+W, V, YAW = loggers.power(T), loggers.speed(T), loggers.turn(T)
+WH = float(W.sum() * 0.1 / 3600)
+PLAIN = {"t": T, "v": V, "w": YAW, "power": W}
+ROWS = [
+    {"t": t, "pose": {"x": 0.0}, "v": v, "w": w, "power": p, "on": True, "goal": None}
+    for t, v, w, p in zip(T.tolist(), V.tolist(), YAW.tolist(), W.tolist(), strict=True)
+]
+STAMPED = [
+    {"header": {"stamp": {"sec": int(1.7e9 + one["t"]), "nanosec": round(one["t"] % 1 * 1e9)}}, **one, "t": {}}
+    for one in ROWS
+]
+
+
+def nested(path: Path) -> None:
+    structs = {
+        "elapsed": pa.array((T * 1e6).round().astype("int64"), pa.duration("us")),
+        "twist": pa.array(
+            [{"linear": {"x": v}, "angular": {"z": w}} for v, w in zip(V.tolist(), YAW.tolist(), strict=True)]
+        ),
+        "battery": pa.array([{"voltage": 25.0 - w / 50, "current": w / (25.0 - w / 50)} for w in W.tolist()]),
+    }
+    parquet.write_table(pa.table(structs), path)
+
+
+def listed(path: Path) -> None:
+    """Lists in cells, as pandas writes what a message holds several of."""
+    lines = [f'{t},"[{v}, 0.0, 0.0]","[0. 0. {w}]",{p}\n' for t, v, w, p in zip(T, V, YAW, W, strict=True)]
+    path.write_text("t,linear,angular,power\n" + "".join(lines))
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "a.feather": lambda path: feather.write_feather(pa.table(PLAIN), path),
+    "a.parquet": nested,
+    "a.mat": lambda path: savemat(path, {**PLAIN, "note": "x", "gain": 3.0}),
+    "struct.mat": lambda path: savemat(path, {"log": PLAIN}),
+    "a.npz": lambda path: np.savez(path, **PLAIN),  # type: ignore[arg-type]
+    "a.npy": lambda path: np.save(path, np.rec.fromarrays(list(PLAIN.values()), names=list(PLAIN))),
+    "columns.json": lambda path: path.write_text(
+        json.dumps({"robot": "r1"} | {k: x.tolist() for k, x in PLAIN.items()})
+    ),
+    "pandas.json": lambda path: path.write_text(
+        json.dumps({k: {str(i): x for i, x in enumerate(y.tolist())} for k, y in PLAIN.items()}, indent=1)
+    ),
+    "samples.json": lambda path: path.write_text(json.dumps({"robot": "r1", "samples": ROWS}, indent=1)),
+    "stamped.jsonl": lambda path: path.write_text("".join(json.dumps(one) + "\n" for one in STAMPED)),
+    "printed.log": lambda path: path.write_text("connected to /dev/ttyUSB0\n" + "".join(f"{one}\n" for one in ROWS)),
+    "numpy2.log": lambda path: path.write_text(
+        "".join(f"{one}\n".replace("'v': ", "'v': np.float64(").replace(", 'w'", "), 'w'") for one in ROWS)
+    ),
+    "lists.csv": listed,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_programs_keep_is_read(tmp_path: Path, name: str) -> None:
+    WRITERS[name](tmp_path / name)
+    made, out = tmp_path / "made.yaml", tmp_path / "out.parquet"
+    assert main(["import", str(tmp_path / name), "--suggest", "--out", str(made), "--quiet"]) == 0
+    code = main(["import", str(tmp_path / name), "--map", str(made), "--out", str(out), "--quiet"])
+    assert code == (name == "printed.log")  # a line that is none
+    log: LogTable = read_log(out)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(V.max(), rel=0.01)
+    assert log.number("yaw_rate_rad_s").max() == pytest.approx(YAW.max(), rel=0.01)
+
+
+def base(path: Path) -> None:
+    with sqlite3.connect(path) as held:
+        held.execute("create table samples (ts real, power real)")
+
+
+def sheet(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("[Content_Types].xml", "<Types/>")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("a.db", base, "sqlite3 -header -csv"),
+        ("a.xlsx", sheet, "save the sheet as CSV"),
+        ("a.mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n" + b"\0" * 99, "'-v7'"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n" + b"\0" * 99, "an HDF5 file"),
+        ("a.pkl", b"\x80\x04\x95\0\0" + b"\0" * 99, "would run code"),
+        ("a.npy", lambda path: np.save(path, np.zeros((9, 3))), "without names"),
+        ("a.log", b"(1715678493.130251) can0 221#0000000000000000\n" * 99, "decode it"),
+    ],
+)
+def test_what_is_not_read_says_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes | Callable[[Path], object], told: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content) if isinstance(content, bytes) else content(path)
+    assert main(["import", str(path), "--suggest", "--out", str(tmp_path / "made.yaml")]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_lists_of_cells_are_no_further_columns(tmp_path: Path) -> None:
+    lines = (f'{t},{p},{v},"[{3700 - p / 9:.3f}, {3690 - p / 9:.3f}]"\n' for t, p, v in zip(T, W, V, strict=True))
+    (tmp_path / "a.csv").write_text("t,power,v,bms.cell_vol\n" + "".join(lines))
+    assert main(["import", str(tmp_path / "a.csv"), "--suggest", "--out", str(tmp_path / "m.yaml"), "--quiet"]) == 0
+    assert "cell_vol" not in (tmp_path / "m.yaml").read_text().split("# not used")[0]
