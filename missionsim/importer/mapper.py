@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,8 @@ class Mapper(Checker):
         if column.text is not None:
             return Labels(np.zeros(rows, dtype=np.int64), (column.text,))
         if column.file_name is not None:
-            words = [word for word in column.file_name if word.lower() in self.stem.lower()]
+            words = _words_in(self.stem, column.file_name)
+            words = words or _words_in(Path(self.raw.file).resolve().parent.name, column.file_name)
             if len(words) != 1:
                 told = f"the file's name holds {' and '.join(words) or 'none'} of the words"
                 allowed = "exactly one of " + ", ".join(column.file_name)
@@ -219,6 +221,12 @@ class Mapper(Checker):
         if column is not None and column.hold is not None:
             return column.hold
         return not _all_of([name], self._reads).isdisjoint(self.spec.refresh)
+
+
+def _words_in(name: str, words: Iterable[str]) -> list[str]:
+    """Those of some words that a name holds; not one that is part of another (``5kg`` of ``2.5kg``)."""
+    held = [word for word in words if word.lower() in name.lower()]
+    return [word for word in held if not any(word != other and word.lower() in other.lower() for other in held)]
 
 
 def _all_of(names: Iterable[str], needs: Callable[[str], Iterable[str]]) -> set[str]:

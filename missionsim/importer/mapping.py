@@ -251,7 +251,9 @@ def _finish(
     known = time[np.isfinite(time)]
     if len(known) > 1 and not 0.0 <= known[0] <= 1.01 * float(np.median(np.diff(known))):
         run["time_s"] = time = time - known[0]  # a start within a step of zero is the middle of the first interval
-    run["time_s"] = time = close_jumps(time, remarks)
+    rows = np.diff(number)
+    away = rows > 1 if mapper.spec.runs.by and len(rows) and np.median(rows) == 1 else None
+    run["time_s"] = time = close_jumps(time, remarks, away=away)
     lines = mapper.raw.lines
     if mapper.spec.refresh or mapper.spec.step is not None:  # before means are taken over the rows of a reset
         remarks += count_on(run, lambda row: mapper.raw.line(int(number[row])))

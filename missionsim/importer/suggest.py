@@ -20,6 +20,7 @@ from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all,
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_motion import quoted
+from missionsim.importer.suggest_names import from_names
 from missionsim.importer.suggest_runs import join_runs, recognised_runs, table_of_runs
 from missionsim.importer.suggest_time import seconds_and_nanoseconds, suggest_time
 from missionsim.labels import Labels
@@ -172,6 +173,8 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
         join_runs(draft, *table)
     suggest_motion.suggest_others(draft)
     suggest_further.suggest(draft)
+    if table is None and not joined:
+        from_names(draft, paths)
     draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
     used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")}
     used |= set(re.findall(r"\w+", " ".join(draft.let.values())))

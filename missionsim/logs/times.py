@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
@@ -186,22 +187,27 @@ _JUMP_S = 3600.0
 """A step that is longer, and a thousand usual ones, is no gap of a mission: the clock was set, or the robot was off."""
 
 
-def close_jumps(time_s: Array, remarks: list[Remark], usual: float | None = None) -> Array:
+def close_jumps(
+    time_s: Array, remarks: list[Remark], usual: float | None = None, away: NDArray[np.bool_] | None = None
+) -> Array:
     """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis. `time_s` (shape
-    (n,)): [s]; `remarks`: what is said is added; `usual`: usual step [s], where it is known."""
+    (n,)): [s]; `remarks`: what is said is added; `usual`: usual step [s], where it is known; `away` (shape (n - 1,)):
+    steps in which rows of another run lie."""
     step = np.diff(time_s)
     if len(step) < 2:
         return time_s
     usual = float(np.nanmedian(np.abs(step))) if usual is None else usual
-    jumps = np.flatnonzero((step > max(_JUMP_S, 1000.0 * usual)) & np.isfinite(step))
+    left = max(6.0 * usual, usual + 1.0)
+    long = step > max(_JUMP_S, 1000.0 * usual)
+    jumps = np.flatnonzero((long if away is None else long | (away & (step > left))) & np.isfinite(step))
     if not len(jumps):
         return time_s
-    left = max(6.0 * usual, usual + 1.0)
     shift = np.zeros(len(time_s))
     shift[jumps + 1] = step[jumps] - left
     longest = float(step[jumps].max())
     message = f"time jumps {len(jumps)} times, by up to {longest:.4g} s after {time_s[jumps[0]]:.6g} s"
-    action = "parted there: the clock was set or the logger was off, and no time is counted between the parts"
+    why = "the clock was set or the logger was off" if long.any() else "rows of another run lie between"
+    action = f"parted there: {why}, and no time is counted between the parts"
     remarks.append(Remark("gap", "time_s", message, action, "warning", 0, len(jumps)))
     return np.asarray(time_s - np.cumsum(shift))
 

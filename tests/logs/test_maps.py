@@ -465,3 +465,15 @@ def test_long_tables(
     assert_frame_equal(*tables, check_categorical=False)
     groups = pq.ParquetFile(tmp_path / "blocks.parquet").num_row_groups
     assert (groups > 3) == by_blocks
+
+
+def test_a_run_that_comes_back_lasts_no_longer_than_its_rows(tmp_path: Path) -> None:
+    """A button marks trials, and what lies between is trial 0: no time of the trials is counted for it."""
+    lines = [f"{t / 10},{(t // 300) % 2 * (t // 600 + 1)},{10 + t % 2}\n" for t in range(2100)]
+    (tmp_path / "day.csv").write_text("t,trial,p\n" + "".join(lines))
+    (tmp_path / "map.yaml").write_text("kind: map\nruns: {by: trial}\ncolumns: {time_s: t, power_robot_w: p}\n")
+    done = ["import", str(tmp_path / "day.csv"), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]
+    assert main([*done, "--quiet"]) == 0
+    for name, seconds in (("day_0", 120), ("day_1", 30), ("day_2", 30)):
+        log = read_log(tmp_path / "out" / f"{name}.parquet")
+        assert log.energy_wh("robot") == pytest.approx(10.5 * seconds / 3600, rel=0.05), name
