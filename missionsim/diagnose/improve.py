@@ -22,7 +22,7 @@ from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.predictive import least_squares_clock
-from missionsim.identify.settings import Settings
+from missionsim.identify.settings import HALVED, Settings
 from missionsim.inputs.edit import Editing
 from missionsim.inputs.loading import robot_from_text
 
@@ -282,12 +282,11 @@ class Rounds:
         beside = replace(state, given=given, models=with_law(state.models, name, formula))
         found, fitted = self.together(beside, [*kept, replace(as_finding(law), effect=name)], surest=len(kept))
         k = next((one.parameters["k"] for one in found if one.effect == name), None)
-        # its size was found beside everything that is seen: without what these data cannot tell, it may be another
-        if (
-            k is None
-            or k.low <= 0.0 <= k.high
-            or (state.last.unsure and max(k.low, law.first.low) > min(k.high, law.first.high))
-        ):
+        # its size was found beside everything that is seen: without what these data cannot tell, it may be another,
+        # which other runs must show clearly then
+        other = bool(state.last.unsure) and k is not None and max(k.low, law.first.low) > min(k.high, law.first.high)
+        shown = other and beside.models.of_others(found) < HALVED * state.models.of_others(state.taken)
+        if k is None or k.low <= 0.0 <= k.high or (other and not shown):
             self.nothing[formula] += 1
             return True
         self.by_law[name] = formula

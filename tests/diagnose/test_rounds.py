@@ -457,6 +457,28 @@ def test_a_law_without_which_a_single_run_is_predicted_as_well_is_tried_and_goes
     assert not made.of_law()
 
 
+@pytest.mark.parametrize(
+    ("doubted", "square", "taken"), [((GRADE,), 4.5, True), ((GRADE,), 5.5, False), ((), 5.5, True)]
+)
+def test_a_law_of_another_size_beside_what_is_doubted_has_to_show_it(
+    monkeypatch: pytest.MonkeyPatch, doubted: tuple[Finding, ...], square: float, taken: bool
+) -> None:
+    """Tyres that slide in curves: the law halved the error of other runs, and was not added, since its size beside a
+    copper loss that may be inertia had been a little smaller."""
+    models = Told({("scrub",): 10.0, ("scrub", "law_a"): square})
+    made = rounds(models, [(), ()])
+    first = SimpleNamespace(formula="k * a", low=7.0, high=13.0)
+    law = SimpleNamespace(first=first, open=False, far_better=False, instead_of=(), energy_share=0.03)
+    larger = replace(GRADE, parameters={"k": Estimate(16.0, 14.0, 18.0, "W")})
+    monkeypatch.setattr(improve, "as_finding", lambda _: larger)
+    monkeypatch.setattr(improve, "with_law", lambda *_: models)
+    monkeypatch.setattr(improve, "with_candidate", lambda *_: ("", "law_a"))
+    last = SimpleNamespace(proposed_laws=(law,), unsure=doubted)
+    made.state = replace(made.state, last=last, taken=named("scrub"))  # type: ignore[arg-type]
+    assert made.of_law()
+    assert bool(made.by_law) is taken
+
+
 def sampled(folder: Path, seed: int) -> None:
     """A log whose meter lags by 0.9 s and is read once a second, while rows come four times as often."""
     log = drive(seed, seconds=180.0, step_s=0.05, scrub_w_s_rad=12.0)
