@@ -50,7 +50,7 @@ def suggest(draft: Draft) -> None:
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
     power = [guess for guess in power if not goes_back(guess)]
     power.sort(key=lambda guess: (folded(draft.fields[guess.field]) == "constant", -_as_a_whole(guess)))
-    power = with_larger_parts(draft, _all_sides(draft, power))
+    power = _all_sides(draft, power)
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     volts.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")
@@ -58,6 +58,7 @@ def suggest(draft: Draft) -> None:
         volts = sum_of_cells(draft, volts)
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
+    power = power if pair is not None else with_larger_parts(draft, power)
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
     elif pair is not None and (re.search(_WHOLE, words_of(pair[1].field)[0]) or not _drivers(draft)):

@@ -264,3 +264,24 @@ def test_counts_of_encoders_ask_for_their_way(tmp_path: Path, names: tuple[str, 
     made.write_text(made.read_text().replace("METRES", "0.004"))
     assert main(["import", str(path), "--map", str(made), "--out", str(tmp_path / "a.parquet"), "--quiet"]) == 0
     assert read_log(tmp_path / "a.parquet").number("speed_m_s").mean() == pytest.approx(V.mean(), abs=0.02)
+
+
+def test_parts_beside_volts_and_amperes_are_not_added_up(tmp_path: Path) -> None:
+    columns = {"t": T, "v": V, "Pack Volts": VOLTS, "Pack Amps": W / VOLTS, "Motor Pwr(w)": 1.1 * W, "Aux Pwr": 2 + V}
+    log, _ = suggested(write(tmp_path / "run" / "a.csv", columns))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_voltages_and_currents_in_arrays_are_asked_for(tmp_path: Path) -> None:
+    columns = {"measured_voltages_0": VOLTS, "measured_voltages_1": 12.0 + 0 * T, "measured_currents_0": W / VOLTS}
+    path = write(tmp_path / "run" / "a.csv", {"time": T, "v": V, **columns, "measured_currents_1": 0.8 + V})
+    log, text = suggested(path, code=1)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert "more currents, which were not added: measured_currents_1" in text
+
+
+def test_names_under_lines_of_devices_and_their_numbers(tmp_path: Path) -> None:
+    path = write(tmp_path / "run" / "a.csv", {"Frame": 10 * T, "Time (Seconds)": T, "power_w": W, "Speed (m/s)": V})
+    above = 'Format Version,1.23,Take Name,run\n\n,,Rigid Body,Rigid Body\n,,robot,robot\n,,"1","1"\n,,Power,Pace\n'
+    path.write_text(above + path.read_text())
+    assert suggested(path)[0].energy_wh("robot") == pytest.approx(WH, rel=0.01)

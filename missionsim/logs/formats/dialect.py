@@ -62,6 +62,9 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
         rows = [
             i for i, shape in shapes.items() if len(shape) == width and {"1"} <= {shape[k] for k in value} <= {"0", "1"}
         ]
+        order = list(shapes)
+        while len(rows) > 1 and "1" not in shapes[after := order[order.index(rows[0]) + 1]] and after not in rows:
+            rows.pop(0)  # numbers of devices between the names of several lines (Motive)
         if width < 2 or not value or len(rows) < 0.5 * len(shapes) or rows[0] == start:
             continue
         above = [i for i in shapes if i < rows[0] and len(shapes[i]) == width and "1" not in shapes[i]]
