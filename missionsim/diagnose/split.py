@@ -63,20 +63,23 @@ def read_split(
 ) -> Split:
     """Runs of some logs to fit and to test on; see `choose_split`."""
     runs, left_out = read_runs(robot, logs)
-    split = choose_split(runs, holdout, robot)
+    split = choose_split(runs, holdout, robot, left_out)
     return replace(split, left_out=(*left_out, *split.left_out), given=tuple(runs))
 
 
 def choose_split(
-    logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None, robot: RobotSpec | None = None
+    logs: Sequence[Run],
+    holdout: str | Sequence[str | Path] | None = None,
+    robot: RobotSpec | None = None,
+    left_out: Sequence[str] = (),
 ) -> Split:
     """Split runs into those that are fitted and those that are held out.
 
     `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
     a condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files and
-    folders of other logs, which are checked against `robot`. By default the last quarter of four or more runs. Raises
-    InputError: for a value that is none of these, a condition that no run or every run meets, unknown runs, other logs
-    of which none can be tested on.
+    folders of other logs, which are checked against `robot`; `left_out`: runs that are not among `logs`, with why. By
+    default the last quarter of four or more runs. Raises InputError: for a value that is none of these, a condition
+    that no run or every run meets, unknown runs, other logs of which none can be tested on.
     """
     logs = tuple(logs)
     if holdout is None:
@@ -118,6 +121,8 @@ def choose_split(
     names = [name.strip() for name in text.split(",") if name.strip()]
     known = [log.run for log in logs]
     for name in names:
+        if why := next((line for line in left_out if line.startswith(f"{name}: ")), ""):
+            raise InputError.single(f"--holdout: the run '{name}' was left out", got=why, allowed=", ".join(known))
         if name not in known:
             allowed = (
                 f"a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs {', '.join(known)}"

@@ -153,3 +153,9 @@ def test_a_single_run_is_cut_into_parts_in_which_its_clocks_go_on() -> None:
     assert sum(part.rows for part in parts) == run.rows
     moved = np.concatenate([part.number("moving_time_s") for part in parts])
     assert np.all(np.diff(moved) > 0.0)  # warm when the second part begins
+
+
+def test_a_run_that_was_left_out_is_not_unknown() -> None:
+    with pytest.raises(InputError, match="the run 'run_9' was left out") as caught:
+        choose_split(RUNS, "run_9", left_out=["run_9: power_robot_w lies +37 s beside what the robot does"])
+    assert "beside what the robot does" in caught.value.faults[0].got
