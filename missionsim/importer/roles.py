@@ -41,8 +41,7 @@ UNITS: dict[str, tuple[str, float]] = {
 """Unit as a map writes it → dimension, factor to the glossary's unit; grows by those that pint knows."""
 
 _PER = re.compile(
-    r"[_ ](m|met(?:er|re)s?|km|kilomet(?:er|re)s?|deg(?:ree)?s?|rad(?:ian)?s?)[_ ]per[_ ](s|sec|seconds?|h|hours?)\Z",
-    re.I,
+    r"[_ ]([ckm]?m|(?:kilo)?met(?:er|re)s?|deg(?:ree)?s?|rad(?:ian)?s?)[_ ]per[_ ](s|sec|seconds?|h|hours?)\Z", re.I
 )
 
 
@@ -76,6 +75,7 @@ def words_of(name: str) -> tuple[str, str]:
             text = text[: match.start()]
     if not unit and (match := _PER.search(text)):  # meters_per_sec
         what = match[1][:3] if match[1][0] in "rdRD" else match[1][0] + "m" * (match[1][0] in "kK")
+        what = match[1] if match[1].lower() in ("cm", "mm") else what
         unit, text = known_unit(f"{what}/{match[2][0]}".lower()), text[: match.start()]
     if not unit and not re.search(r"quat|orient|rotation|axis", text, re.IGNORECASE):
         for tail in _TAILS:
@@ -92,7 +92,11 @@ def words_of(name: str) -> tuple[str, str]:
 def known_unit(text: str) -> str:
     """The unit as a map writes it, or nothing."""
     unit = WORDS["spellings"].get(text, text)
-    return unit if unit in UNITS else str(WORDS["spellings"].get(text.lower(), ""))
+    small = text.lower()
+    plain = (
+        small if small in UNITS and UNITS[small][0] in ("speed", "yaw rate") and small != "rpm" else ""
+    )  # Mph, DEG/S
+    return unit if unit in UNITS else str(WORDS["spellings"].get(small, plain))
 
 
 @functools.cache

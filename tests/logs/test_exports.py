@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command as main
+from missionsim.importer.roles import UNITS, words_of
 from missionsim.logs import LogTable, read_log
 from tests.logs import loggers
 
@@ -285,3 +286,17 @@ def test_names_under_lines_of_devices_and_their_numbers(tmp_path: Path) -> None:
     above = 'Format Version,1.23,Take Name,run\n\n,,Rigid Body,Rigid Body\n,,robot,robot\n,,"1","1"\n,,Power,Pace\n'
     path.write_text(above + path.read_text())
     assert suggested(path)[0].energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "factor"),
+    [
+        ("Speed (kmph)", "km/h", 1 / 3.6), ("speed_kmph", "km/h", 1 / 3.6), ("Speed [Mph]", "mph", 0.44704),
+        ("Speed (KM/H)", "km/h", 1 / 3.6), ("speed_cmps", "cm/s", 0.01), ("vel_mm_per_s", "mm/s", 1e-3),
+        ("gyro_z_degps", "deg/s", np.pi / 180), ("Yaw rate [DEG/S]", "deg/s", np.pi / 180), ("P_uW", "uW", 1e-6),
+        ("energy_mwh", "mWh", 1e-3), ("Current (Milliamps)", "mA", 1e-3), ("Power (MW)", "mW", 1e-3),
+    ],
+)  # fmt: skip
+def test_units_as_people_write_them(name: str, unit: str, factor: float) -> None:
+    assert words_of(name)[1] == unit
+    assert UNITS[unit][1] == pytest.approx(factor)
