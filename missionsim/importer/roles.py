@@ -280,7 +280,8 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     if known is not None and not ("<" in known[0].name and re.search(role.avoid, known[1].replace("_", " "))):
         own = WORDS["columns"].get(known[0].name)
         return Guess(role.name, field.name, "", 3.0, "a name of the glossary", "sure") if own == role.name else None
-    words = words_of(field.name)[0]
+    # a file may be called a status
+    words = words_of(re.sub(r"status(?=[^.]*\.)", "", field.name, flags=re.I) if field.joined else field.name)[0]
     inner = _inner_name(field)
     tail, unit = words_of(inner)
     typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")

@@ -48,7 +48,7 @@ def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
     power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
-    power = [guess for guess in power if not goes_back(guess)]
+    power = [guess for guess in power if not goes_back(guess) and not _of_a_quaternion(draft, guess.field)]
     power.sort(key=lambda guess: (folded(draft.fields[guess.field]) == "constant", -_as_a_whole(guess)))
     power = _all_sides(draft, power)
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
@@ -76,10 +76,17 @@ def suggest(draft: Draft) -> None:
         v.field for v in draft.best("voltage", 0.7) if any(_beside(draft, v, i) for i in draft.best("current", 0.7))
     ]
     if other and pair is not None and not draft.direct:
-        told = ", ".join(name.rpartition(".")[0] for name in other)
+        told = ", ".join(dict.fromkeys(name.rpartition(".")[0] for name in other))
         draft.remarks.append(
             f"a battery too, perhaps: {told}; voltage_<its name>_v and current_<its name>_a would take it"
         )
+
+
+def _of_a_quaternion(draft: Draft, name: str) -> bool:
+    """Whether a field is the W beside X, Y and Z, and never above one."""
+    beside = {re.sub(r" #\d+\Z", "", other) for other in draft.fields}
+    parts = {f"{name[:-1]}{axis}" for axis in ("XYZ" if name.endswith("W") else "xyz")}
+    return name[-1:] in "wW" and parts <= beside and float(np.nanmax(np.abs(draft.values(name)))) < 1.001
 
 
 def _as_a_whole(guess: Guess) -> float:

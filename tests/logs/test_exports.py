@@ -300,3 +300,18 @@ def test_names_under_lines_of_devices_and_their_numbers(tmp_path: Path) -> None:
 def test_units_as_people_write_them(name: str, unit: str, factor: float) -> None:
     assert words_of(name)[1] == unit
     assert UNITS[unit][1] == pytest.approx(factor)
+
+
+def test_the_w_of_a_quaternion_is_no_power(tmp_path: Path) -> None:
+    half = 0.05 * np.cumsum(YAW)
+    pose = {"Time (Seconds)": T, "X": 0 * T, "Y": 0 * T, "Z": np.sin(half), "W": np.cos(half)}
+    files = {"take": pose, "meter": {"t": T, "V": VOLTS, "I": W / VOLTS}}
+    log, _ = suggested(*(write(tmp_path / "run" / f"{name}.csv", one) for name, one in files.items()))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_a_meter_in_a_file_of_a_status(tmp_path: Path) -> None:
+    meter = {"time": T, "measured_voltages_0": VOLTS, "measured_currents_0": W / VOLTS}
+    files = {"mcu_status_power": meter, "odom": {"time": T, "linear_x": V, "angular_z": YAW}}
+    log, _ = suggested(*(write(tmp_path / "run" / f"{name}.csv", one) for name, one in files.items()))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
