@@ -61,7 +61,7 @@ def suggest(draft: Draft) -> None:
     power = power if pair is not None else with_larger_parts(draft, power)
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
-    elif pair is not None and (re.search(_WHOLE, words_of(pair[1].field)[0]) or not _drivers(draft)):
+    elif pair is not None and (re.search(_WHOLE, _called(draft, pair[1].field)) or not _drivers(draft)):
         sources = _from_pair(draft, *pair)
     else:
         sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
@@ -80,6 +80,11 @@ def suggest(draft: Draft) -> None:
         draft.remarks.append(
             f"a battery too, perhaps: {told}; voltage_<its name>_v and current_<its name>_a would take it"
         )
+
+
+def _called(draft: Draft, name: str) -> str:
+    """The words of a field, without those of its file."""
+    return words_of(name.partition(".")[2] if draft.fields[name].joined else name)[0]
 
 
 def _of_a_quaternion(draft: Draft, name: str) -> bool:

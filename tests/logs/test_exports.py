@@ -315,3 +315,17 @@ def test_a_meter_in_a_file_of_a_status(tmp_path: Path) -> None:
     files = {"mcu_status_power": meter, "odom": {"time": T, "linear_x": V, "angular_z": YAW}}
     log, _ = suggested(*(write(tmp_path / "run" / f"{name}.csv", one) for name, one in files.items()))
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_the_name_of_a_file_makes_no_current_that_of_the_whole_robot(tmp_path: Path) -> None:
+    amps = W / VOLTS / 2 - 0.1
+    meter = {
+        "Time": T,
+        "mcu_and_user_port_current": 0.2 + 0 * T,
+        "left_driver_current": amps,
+        "right_driver_current": amps,
+    }
+    meter |= {"battery_voltage": VOLTS, "left_driver_voltage": VOLTS, "right_driver_voltage": VOLTS}
+    files = {"husky_robot-status": meter, "odometry": {"Time": T, "linear_x": V, "angular_z": YAW}}
+    log, _ = suggested(*(write(tmp_path / "run" / f"{name}.csv", one) for name, one in files.items()))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
