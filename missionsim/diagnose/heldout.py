@@ -149,7 +149,10 @@ class Models:
         formula = {name: one.value for name, one in self.features.parameters.items() if of_formula(one)}
         fits = {name: fitted.values[name] for name in formula if name in fitted.values}
         below = {name: new for name, new in fits.items() if new.value < max(0.0, LEFT * formula[name])}
-        back = _given_back(self, [one.effect for one in effects if "regeneration" in one.parameters], fitted)
+        library = self.features.effects
+        back = _given_back(
+            self, [e.effect for e in effects if e.effect in library and library[e.effect].recovers], fitted
+        )
         told = []
         for effect in effects:
             without = self.fit([one for one in effects if one is not effect]).values if below else {}

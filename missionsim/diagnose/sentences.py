@@ -79,7 +79,7 @@ def missing(effect: Finding) -> str:
     subject = subject[:1].upper() + subject[1:]
     share = f"{100 * abs(effect.net):.1f} % of the energy"
     if effect.back:
-        share += f" ({100 * effect.energy_share:.1f} % taken, {100 * effect.back:.1f} % given back)"
+        share += f" ({100 * effect.taken:.1f} % taken, {100 * effect.back:.1f} % given back)"
     first = next(iter(effect.parameters.values()), None)
     if first is None or first.unit not in _PER or len(effect.parameters) > 1 or kind == "acceleration":
         return f"{subject} costs {share} that the model does not know"

@@ -168,10 +168,10 @@ def _estimate(name: str, e: Estimate, least: float = -INF, most: float = INF) ->
 
 def share_told(effect: Finding) -> str:
     """Share of the energy with its interval, net of what comes back."""
-    taken = f"{_percent(effect.energy_share)} %"
+    taken, part = f"{_percent(effect.taken)} %", effect.taken / effect.energy_share if effect.back else 1.0
     interval = ""
     if math.isfinite(effect.share_low):
-        interval = f" (95 % {_percent(effect.share_low)} to {_percent(effect.share_high)})"
+        interval = f" (95 % {_percent(part * effect.share_low)} to {_percent(part * effect.share_high)})"
     if not effect.back:
         return f"{taken} of energy{interval}"
     return f"{_percent(effect.net)} % of energy: {taken}{interval} taken, {_percent(effect.back)} % given back"

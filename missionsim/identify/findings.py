@@ -105,7 +105,8 @@ class Finding:
     leans: str = ""
     """What of the base falls below nothing beside it, in the fit that its numbers come from."""
     back: float = 0.0
-    """Part of the energy that comes back (braking, descents), where it is known; ``energy_share`` is what is taken."""
+    """Part of the energy that comes back (braking, descents), where it is known; ``energy_share`` counts it too, with
+    what is taken."""
 
     @property
     def is_clear(self) -> bool:
@@ -120,6 +121,11 @@ class Finding:
     @property
     def net(self) -> float:
         """Part of the measured energy that is taken and does not come back."""
+        return self.taken - self.back
+
+    @property
+    def taken(self) -> float:
+        """Part of the measured energy that is taken, whatever comes back."""
         return self.energy_share - self.back
 
     @property

@@ -289,7 +289,7 @@ def test_beside_what_a_parameter_of_motion_falls_below_nothing_is_told_once(fall
         k1 = falls_to if friction.effect in {one.effect for one in effects} else -980.0
         return SimpleNamespace(values={"k1": Value(k1, 270.0), "standing": Value(-9.0 * k1, 1.0)})
 
-    models = SimpleNamespace(features=SimpleNamespace(parameters={"k1": c1, "standing": rest}), fit=fit)
+    models = SimpleNamespace(features=SimpleNamespace(effects={}, parameters={"k1": c1, "standing": rest}), fit=fit)
     told = (replace(friction, remark="28 times"), floor)
     for _ in range(2):  # improve asks again once more is in
         told = Models.leaning(models, told, fit(told))
@@ -308,7 +308,7 @@ def test_an_effect_that_takes_the_place_of_the_base_is_in_doubt(falls_to: float,
     def fit(effects: tuple[Finding, ...]) -> SimpleNamespace:
         return SimpleNamespace(values={"c6": Value(falls_to, 2.0) if effects else Value(83.0, 3.0)})
 
-    models = SimpleNamespace(features=SimpleNamespace(parameters={"c6": c6}), fit=fit)
+    models = SimpleNamespace(features=SimpleNamespace(effects={}, parameters={"c6": c6}), fit=fit)
     (told,) = Models.leaning(models, (inertia,), fit((inertia,)))  # type: ignore[arg-type]
     assert ("beside it c6 of the base falls to hardly anything, from 83.0 to 0.09" in told.doubt) is doubted
 

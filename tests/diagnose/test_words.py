@@ -164,10 +164,10 @@ def test_a_candidate_of_the_robot_file_is_told_by_its_name_and_once() -> None:
 
 
 def test_a_share_of_which_much_comes_back_is_told_net() -> None:
-    """Not 112 % of the energy."""
+    """Not 112 % of the energy; nor is what comes back taken once more."""
     back = {**GRADE.parameters, "regeneration": Estimate(0.7, 0.6, 0.8)}
-    speeding = replace(GRADE, effect="acceleration", parameters=back, energy_share=1.12, back=0.81, share_low=0.9)
-    speeding = replace(speeding, share_high=1.3)
+    speeding = replace(GRADE, effect="acceleration", parameters=back, energy_share=1.93, back=0.81, share_low=1.551)
+    speeding = replace(speeding, share_high=2.24)
     one = replace(BATTERY, effects=(speeding,))
     assert words.headline(one).startswith(
         "Changing speed costs 31.0 % of the energy (112.0 % taken, 81.0 % given back)"
