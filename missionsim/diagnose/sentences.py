@@ -260,10 +260,12 @@ def errors(battery: BatteryDiagnosis) -> str:
     if law is None and not battery.effects:
         return base_note(given, base)
     rmse_w = bars[-1].power_rmse_w
-    was, alone, now = watts(given.power_rmse_w), watts(base.power_rmse_w), f"{watts(rmse_w)} with it"
+    # what the next command does not add, since these data cannot tell which it is, is in that number too
+    named = _listed([*(e.effect for e in battery.clear), *(" or ".join(battery.either(e)) for e in battery.unsure)])
+    now = f"{watts(rmse_w)} with {named if battery.unsure else 'it'}"
+    was, alone = watts(given.power_rmse_w), watts(base.power_rmse_w)
     energies = [given.energy_error_pct, bars[-1].energy_error_pct]
     if rmse_w != with_it.power_rmse_w and battery.effects:
-        named = _listed([effect.effect for effect in battery.effects])
         now = f"{watts(with_it.power_rmse_w)} with {named}, {watts(rmse_w)} with the law as well"
         energies.insert(1, with_it.energy_error_pct)
     told = f"On runs not used the power error was {was} ({alone} recalibrated) and is {now}"

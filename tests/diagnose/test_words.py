@@ -177,6 +177,15 @@ def test_a_share_of_which_much_comes_back_is_told_net() -> None:
     assert '<div class="tile-value">31.0 % of the energy</div>' in page
 
 
+@pytest.mark.parametrize(
+    ("effects", "told"),
+    [((GRADE,), " with it "), ((GRADE, PAYLOAD), " with grade and payload or surface_rolling_resistance ")],
+)
+def test_what_the_next_command_does_not_add_is_named_with_the_error(effects: tuple[Finding, ...], told: str) -> None:
+    """ "0.521 W with it", of a payload that may be the floor; the command to type next reached 1.09 W."""
+    assert told in sentences.errors(replace(BATTERY, effects=effects))
+
+
 def test_nothing_is_excluded_of_what_may_be_the_cause() -> None:
     rival = Judged("surface_rolling_resistance", False, "these data cannot tell it from payload", 0.004, open=True)
     unsure = replace(BATTERY, effects=(PAYLOAD,), candidates=(*BATTERY.candidates, rival))
