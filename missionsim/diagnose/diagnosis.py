@@ -53,6 +53,8 @@ MOST_SHIFTS = 4
 HARDLY, OTHER_UNIT = 0.01, 3.0
 """Part of the mean power by which a parameter that moves is told; factor from which on it may be in another unit
 (assumed)."""
+TRADED = 0.5
+"""Part of the largest shift of power that all shifts together come to at most where parameters only trade (assumed)."""
 STANDS_IN = "stood in for a law that the library does not hold"
 OTHER_FACTOR = "a law of its column has a factor that no converter has"
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together, or to more than can be"
@@ -330,14 +332,18 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
 
 def _far(recalibration: Sequence[Recalibrated], limit: float, mean_power_w: float, *, alone: bool) -> str:
     """In words, that a base which these runs refute is off; else empty. `alone`: nothing else explains them. What moves
-    most power is told first, and what moves hardly any is not told beside it."""
+    most power is told first, and what moves hardly any is not told beside it; what one parameter gains and another
+    loses, as c2 and c3 do over few speeds, makes no base wrong."""
     moved = [one for one in recalibration if abs(one.shift) > Z95 * one.shift_sd]
     if any(abs(one.shift_in_prior_sd) > limit for one in moved):
-        watts = {one.parameter: abs(one.shift) * float(np.nan_to_num(one.power_w)) for one in moved}
+        signed = {one.parameter: one.shift * float(np.nan_to_num(one.power_w)) for one in moved}
+        watts = {name: abs(power_w) for name, power_w in signed.items()}
         moved = sorted(moved, key=lambda one: -watts[one.parameter])
         moved = [one for one in moved if watts[one.parameter] > HARDLY * mean_power_w] or moved
         shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in moved[:MOST_SHIFTS])
         units = any(one.shift > OTHER_UNIT - 1.0 or one.shift < 1.0 / OTHER_UNIT - 1.0 for one in moved)
+        if abs(sum(signed.values())) < TRADED * max(watts.values()):
+            return f"the base of the robot file, of which some gained what the rest lost, was fitted anew: {shifts}"
         what = f"far from right{', in other units perhaps,' * units} and was fitted anew"
         return f"the base of the robot file is {what}: {shifts}"
     if not alone:

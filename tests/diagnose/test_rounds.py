@@ -424,6 +424,16 @@ def test_what_moves_the_power_of_a_base_is_told_first() -> None:
     assert "in other units perhaps" not in diagnosis._far([c3], 4.0, 6.0, alone=True)
 
 
+@pytest.mark.parametrize(("power_w", "traded"), [(0.35, True), (0.25, False)])
+def test_a_base_of_which_parameters_trade_is_not_called_wrong(power_w: float, traded: bool) -> None:
+    """c3 -68 %, c2 +325 % of a base that was calibrated on the flat: over few speeds the two are one."""
+    c2 = Recalibrated(parameter="c2", shift=3.25, shift_sd=0.2, shift_in_prior_sd=108.0, power_w=power_w)
+    c3 = Recalibrated(parameter="c3", shift=-0.68, shift_sd=0.02, shift_in_prior_sd=-23.0, power_w=2.6)
+    told = diagnosis._far([c2, c3], 4.0, 6.0, alone=True)
+    assert ("of which some gained what the rest lost, was fitted anew: c3 -68 %, c2 +325 %" in told) is traded
+    assert ("in other units perhaps" in told) is not traded
+
+
 @pytest.mark.parametrize(
     ("column", "left", "taken"), [("cpu_load", 0.9, ()), ("cpu_load", 0.5, ("asked",)), ("slope_rad", 0.9, ("asked",))]
 )
