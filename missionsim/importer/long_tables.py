@@ -53,7 +53,10 @@ def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.i
 
 
 def _texts(data: ColumnData) -> Labels:
-    return data if isinstance(data, Labels) else Labels.of("" if value != value else f"{value:g}" for value in data)
+    """Names in a column; numbers as they are, with all digits, so that two of them stay two (29 bits of a bus)."""
+    if isinstance(data, Labels):
+        return data
+    return Labels.of("" if value != value else np.format_float_positional(value, trim="-") for value in data)
 
 
 def _numbers(data: ColumnData, decimal: str) -> ColumnData:

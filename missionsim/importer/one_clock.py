@@ -18,9 +18,14 @@ def one_clock(topics: Sequence[Topic], clocks: dict[str, str], path: Path, remar
     """Bring the files of a run to one clock, and see that they overlap.
 
     `topics`: of all files, their times are changed; `clocks`: short name of each file → kind of its times; `path`: the
-    first file, for messages; `remarks`: what is said is added. Raises InputError: no clock in common, or no overlap.
+    first file, for messages; `remarks`: what is said is added. Raises InputError: no clock in common, no overlap, or no
+    row with a time.
     """
-    kinds = set(clocks.values())
+    topics = [topic for topic in topics if len(topic.time_s)]
+    if not topics:
+        allowed = "rows with a time and a value"
+        raise InputError.single("these files hold no row with a time and a value", file=str(path), allowed=allowed)
+    kinds = {clocks[topic.name.partition(".")[0]] for topic in topics}
     if kinds & {"utc", "local"} and "day" in kinds:
         kind = {topic.name: clocks[topic.name.partition(".")[0]] for topic in topics}
         dated = [topic.time_s.min() for topic in topics if kind[topic.name] in ("utc", "local")]
@@ -30,11 +35,10 @@ def one_clock(topics: Sequence[Topic], clocks: dict[str, str], path: Path, remar
         kinds.discard("day")
         remarks.append(Remark("clock", "", "a file has times of day only", "the day is that of the other file", "note"))
     spans: dict[str, tuple[float, float]] = {}
-    for one in topics:
-        if len(one.time_s):  # the signals of a table are one file
-            name = one.name if one.title else one.name.partition(".")[0]
-            first, last = spans.get(name, (np.inf, -np.inf))
-            spans[name] = min(first, float(one.time_s.min())), max(last, float(one.time_s.max()))
+    for one in topics:  # the signals of a table are one file
+        name = one.name if one.title else one.name.partition(".")[0]
+        first, last = spans.get(name, (np.inf, -np.inf))
+        spans[name] = min(first, float(one.time_s.min())), max(last, float(one.time_s.max()))
     words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
     told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
     if "own" in kinds and len(kinds) > 1:

@@ -55,7 +55,7 @@ def from_counts(draft: Draft) -> bool:
     found: dict[str, str] = {}
     for name, one in draft.fields.items():
         words = words_of(name)[0]
-        whole = _has_numbers(one) and re.search(_COUNTS, words) and not np.any(draft.values(name) % 1.0)
+        whole = _has_numbers(one) and re.search(_COUNTS, words) and not np.nan_to_num(draft.values(name) % 1.0).any()
         for side in [side for side, pattern in _SIDES.items() if whole and re.search(pattern, words)]:
             found.setdefault(side, name)
     if len(found) < 2:

@@ -174,7 +174,7 @@ def reader_of(path: Path) -> Reader:
     for reader in registry().values():
         if (reader.begins and head.startswith(reader.begins)) or (reader.like and reader.like.match(head)):
             return reader
-        if suffix in (*reader.suffixes, *reader.loose):
+        if suffix in reader.suffixes or (suffix in reader.loose and not reader.begins):
             named = reader
     if named is not None and named.begins:
         told = f"this is no {named.title}, whatever its name says: it does not begin as one (damaged or compressed?)"

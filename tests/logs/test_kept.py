@@ -16,7 +16,9 @@ import pytest
 from scipy.io import savemat
 
 from missionsim.cli.app import run_command as main
+from missionsim.importer.sources import find_files
 from missionsim.logs import LogTable, read_log
+from missionsim.logs.readers import reader_of
 from tests.logs import loggers
 
 T = np.arange(0.0, loggers.LENGTH_S, 0.1).round(1)
@@ -56,6 +58,11 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "a.mat": lambda path: savemat(path, {**PLAIN, "note": "x", "gain": 3.0}),
     "struct.mat": lambda path: savemat(path, {"log": PLAIN}),
     "a.npz": lambda path: np.savez(path, **PLAIN),  # type: ignore[arg-type]
+    "dated.npz": lambda path: np.savez(  # with a row for a vector, and bytes
+        path,
+        stamp=np.datetime64("2024-05-01T10:00:00.000") + (T * 1000).round().astype("timedelta64[ms]"),
+        **{"v": V[None], "w": YAW[:, None], "power": W, "state": np.full(len(T), b"go")},
+    ),
     "a.npy": lambda path: np.save(path, np.rec.fromarrays(list(PLAIN.values()), names=list(PLAIN))),
     "columns.json": lambda path: path.write_text(
         json.dumps({"robot": "r1"} | {k: x.tolist() for k, x in PLAIN.items()})
@@ -122,3 +129,12 @@ def test_lists_of_cells_are_no_further_columns(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,power,v,bms.cell_vol\n" + "".join(lines))
     assert main(["import", str(tmp_path / "a.csv"), "--suggest", "--out", str(tmp_path / "m.yaml"), "--quiet"]) == 0
     assert "cell_vol" not in (tmp_path / "m.yaml").read_text().split("# not used")[0]
+
+
+def test_a_folder_of_kept_files_is_read(tmp_path: Path) -> None:
+    names = ["a.feather", "a.mat", "a.npz"]
+    for name in names:
+        WRITERS[name](tmp_path / name)
+    (tmp_path / "text.mat").write_text("t,power\n0,1\n1,2\n")  # MATLAB calls its texts so too
+    assert [path.name for path in find_files([tmp_path])] == [*names, "text.mat"]
+    assert [reader_of(tmp_path / name).name for name in (*names, "text.mat")] == ["feather", "matlab", "numpy", "csv"]

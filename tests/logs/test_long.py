@@ -96,3 +96,26 @@ def test_a_wide_table_with_a_state_is_none(tmp_path: Path) -> None:
     )
     assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0
     assert "long:" not in made.read_text()
+
+
+NUMBERED = """kind: map
+name: numbered
+files: {log: {name: "*.csv", time: t, long: {name: id, value: value}}}
+signals: {p: log.419360001, v: log.419360002}
+timeline: p
+columns: {time_s: time_s, power_robot_w: p, speed_m_s: v}
+"""
+
+
+@pytest.mark.parametrize("rows", [60, 0])
+def test_names_that_are_numbers_stay_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str], rows: int) -> None:
+    lines = [f"{i},419360001,{40 + i % 7}\n{i},419360002,{i % 3}\n" for i in range(rows)]
+    (tmp_path / "log.csv").write_text("t,id,value\n" + "".join(lines))
+    (tmp_path / "map.yaml").write_text(NUMBERED)
+    out = tmp_path / "out.parquet"
+    told = main(["import", str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.yaml"), "--out", str(out)])
+    assert told == (0 if rows else 2)
+    if rows:
+        assert read_log(out).number("power_robot_w").min() >= 40
+    else:
+        assert "no row with a time" in capsys.readouterr().err

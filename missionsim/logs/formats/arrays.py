@@ -6,8 +6,10 @@ import collections
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import unreadable
@@ -56,9 +58,9 @@ def read_numpy(path: Path, options: Options) -> RawTable:
 
 
 def _vectors(values: Mapping[str, object], path: str) -> Iterator[tuple[str, ColumnData]]:
-    """Vectors of numbers or texts by their paths; columns of a matrix as ``name[0]``."""
+    """Vectors of numbers, times or texts by their paths; columns of a matrix as ``name[0]``."""
     for name, one in values.items():
-        array = np.asarray(one) if not isinstance(one, Mapping) else None
+        array = _plain(np.asarray(one)) if not isinstance(one, Mapping) else None
         if isinstance(one, Mapping):
             yield from _vectors(one, f"{path}{name}.")
         elif array is None or array.size < 2:
@@ -70,6 +72,17 @@ def _vectors(values: Mapping[str, object], path: str) -> Iterator[tuple[str, Col
             yield path + name, array.astype(np.float64)
         elif array.ndim == 1 and all(isinstance(text, str) for text in array.tolist()):
             yield path + name, Labels.of(array.tolist())
+
+
+def _plain(array: NDArray[Any]) -> NDArray[Any]:
+    """An array as numbers or texts: dates by ISO 8601, durations in seconds; of one row or column as a vector."""
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.ravel()
+    if array.dtype.kind == "M":
+        return np.where(np.isnat(array), "", np.datetime_as_string(array))
+    if array.dtype.kind == "m":
+        return np.asarray(array / np.timedelta64(1, "s"))
+    return np.char.decode(array, "utf-8", "replace") if array.dtype.kind == "S" else array
 
 
 def _table(path: Path, vectors: Mapping[str, ColumnData], options: Options, allowed: str) -> RawTable:
@@ -93,8 +106,8 @@ def _finished(raw: RawTable, options: Options) -> RawTable:
 
 
 READERS = (
-    Reader("feather", "Arrow file", (), (b"ARROW1",), table=read_feather),
-    Reader("matlab", "MATLAB file", (), (b"MATLAB 5.0",), table=read_matlab),
-    Reader("numpy", "NumPy file", (), (b"\x93NUMPY",), table=read_numpy,
+    Reader("feather", "Arrow file", (), (b"ARROW1",), table=read_feather, loose=(".feather", ".arrow")),
+    Reader("matlab", "MATLAB file", (), (b"MATLAB 5.0",), table=read_matlab, loose=(".mat",)),
+    Reader("numpy", "NumPy file", (), (b"\x93NUMPY",), table=read_numpy, loose=(".npz", ".npy"),
            like=re.compile(rb"PK\x03\x04.{26}[^\0/]{1,99}?\.npy", re.DOTALL)),
 )  # fmt: skip
