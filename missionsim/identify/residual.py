@@ -169,13 +169,16 @@ def dependences(model: Model) -> list[Structure]:
             continue
         for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
             gain, p_value, values = test_curve(judge, rows, model.chosen)
-            fitted = _beside(model, values @ rows)
-            size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
+            fitted = values @ rows
+            size, left = (
+                float(np.mean(np.abs(x - np.average(x)))) / model.design.layout.mean_power_w
+                for x in (fitted, _beside(model, fitted))
+            )
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
             if name not in out or out[name].gain_nats < gain:
                 shape = _words(model, name, times, knots, values, fitted)
-                out[name] = Structure(name, p_value * len(tests), gain, size, shape, times)
+                out[name] = Structure(name, p_value * len(tests), gain, left, shape, times)
             break
     return sorted(out.values(), key=lambda s: -s.gain_nats)
 
