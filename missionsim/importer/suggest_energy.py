@@ -25,6 +25,8 @@ _BACK = (
 _PER_ROW, _TREMBLES = r"\bper (step|row|sample|interval|record|cycle)\b", 20.0
 """Energy of each row by its name; or by values that go up and down by so many times their range in all (assumed)."""
 
+_FEWEST = 20
+"""Rows in which two meters must be known to say that they never run at once (assumed)."""
 _GROWS = 0.8
 """Part of the steps of a charge that is drawn which are upwards, at least (assumed): braking gives some back."""
 
@@ -62,10 +64,10 @@ def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Gue
 def _by_turns(draft: Draft, one: Guess, other: Guess) -> bool:
     """Whether two meters hardly ever run at once: of both directions, and not the two sides of a converter."""
     both = [draft.values(guess.field) for guess in (one, other)]
-    flows = [np.abs(np.diff(values) if one.role == "energy" else values) for values in both]
-    if len(flows[0]) != len(flows[1]):
+    if len(both[0]) != len(both[1]) or (known := np.isfinite(both).all(axis=0)).sum() < _FEWEST:
         return False
-    runs = [flow > 0.02 * float(np.nanmax(flow)) for flow in flows]
+    flows = [np.abs(np.diff(values[known]) if one.role == "energy" else values[known]) for values in both]
+    runs = [flow > 0.02 * float(flow.max()) for flow in flows]
     return float(np.mean(runs[0] & runs[1])) < 0.1
 
 

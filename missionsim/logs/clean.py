@@ -251,7 +251,8 @@ def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np
 def turns(data: Array) -> bool:
     """Whether a column, shape (n,), jumps back and forth: what it changes by from row to row is far more than to the
     next row but some."""
-    if len(data) < _COARSE or not np.isfinite(data).all():
+    data = data[np.isfinite(data)]
+    if len(data) < _COARSE:
         return False
     near, *far = (float(np.median(np.abs(data[lag:] - data[:-lag]))) for lag in range(1, _TURNS + 1))
     return min(far) > 0.0 and near > _APART * min(far)

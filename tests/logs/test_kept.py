@@ -67,11 +67,20 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "columns.json": lambda path: path.write_text(
         json.dumps({"robot": "r1"} | {k: x.tolist() for k, x in PLAIN.items()})
     ),
+    "events.json": lambda path: path.write_text(
+        json.dumps({k: x.tolist() for k, x in PLAIN.items()} | {"events": [{"t": 1, "power": 1}, {"t": 2, "power": 2}]})
+    ),
     "pandas.json": lambda path: path.write_text(
         json.dumps({k: {str(i): x for i, x in enumerate(y.tolist())} for k, y in PLAIN.items()}, indent=1)
     ),
     "samples.json": lambda path: path.write_text(json.dumps({"robot": "r1", "samples": ROWS}, indent=1)),
     "stamped.jsonl": lambda path: path.write_text("".join(json.dumps(one) + "\n" for one in STAMPED)),
+    "texts.jsonl": lambda path: path.write_text(
+        "".join(
+            json.dumps(one | {"header": {"stamp": {k: str(x) for k, x in one["header"]["stamp"].items()}}}) + "\n"
+            for one in STAMPED
+        )
+    ),
     "printed.log": lambda path: path.write_text("connected to /dev/ttyUSB0\n" + "".join(f"{one}\n" for one in ROWS)),
     "numpy2.log": lambda path: path.write_text(
         "".join(f"{one}\n".replace("'v': ", "'v': np.float64(").replace(", 'w'", "), 'w'") for one in ROWS)

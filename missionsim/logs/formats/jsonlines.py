@@ -10,6 +10,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,8 @@ def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
         or (isinstance(one, dict) and len(one) >= _LEAST_ROWS and all(map(str.isdigit, one)))
     }
     length = max(map(len, columns.values()), default=0)
-    if objects := max((one for one in lists if all(isinstance(item, dict) for item in one)), key=len, default=None):
+    objects = max((one for one in lists if all(isinstance(item, dict) for item in one)), key=len, default=[])
+    if len(objects) > length:
         yield from objects
     elif length:
         names = [name for name, one in columns.items() if len(one) == length]
@@ -195,10 +197,9 @@ def _inner_time(messages: list[dict[str, Any]], names: Sequence[str]) -> str | N
         fine = next((f"{above}.{fine}" for whole, fine in _WHOLE_AND_FINE if last == whole), "")
         if fine in names and above.rpartition(".")[2].lower() in _TIMES:
             for message in messages:
-                parts = message.pop(name, None), message.pop(fine, None)
-                if all(isinstance(part, (int, float)) for part in parts):
-                    message[above] = parts[0] + 1e-9 * parts[1]
-            return above
+                with suppress(TypeError, ValueError):  # of a message without a stamp
+                    message[above] = float(message.pop(name, None)) + 1e-9 * float(message.pop(fine, None))
+            return above if any(above in message for message in messages) else None
     return None
 
 
