@@ -150,7 +150,8 @@ MAP = "kind: map\nname: m\ncolumns: {time_s: time_s, power_robot_w: power_robot_
         ("share.csv", "time_s,power_robot_w\n0,50 %\n1,40 %\n2,30 %\n", "this column holds text"),
         ("speed.csv", "time_s,power_robot_w\n0,5 m/s\n1,4 m/s\n2,3 m/s\n", "this column holds text"),
         ("run.csv.gz", b"\x1f\x8b\x08\0", "this is packed (gzip)"),
-        ("run.xlsx", b"PK\x03\x04\0\0", "this is packed (zip, or a spreadsheet)"),
+        ("run.zip", b"PK\x03\x04\0\0", "this is packed (zip)"),
+        ("run.xlsx", b"PK\x03\x04" + 26 * b"\0" + b"xl/workbook.xml", "this is a spreadsheet"),
     ],
 )
 def test_tables_that_a_map_cannot_read(
