@@ -170,25 +170,27 @@ def dependences(model: Model) -> list[Structure]:
         for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
             gain, p_value, values = test_curve(judge, rows, model.chosen)
             fitted = values @ rows
-            size, left = (
-                float(np.mean(np.abs(x - np.average(x)))) / model.design.layout.mean_power_w
-                for x in (fitted, _beside(model, fitted))
-            )
+            size = _size(model, fitted)
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
             if name not in out or out[name].gain_nats < gain:
-                shape = _words(model, name, times, knots, values, fitted)
-                out[name] = Structure(name, p_value * len(tests), gain, left, shape, times)
+                left_w = _beside(model, fitted)
+                shape = _words(model, name, times, knots, values, left_w)
+                out[name] = Structure(name, p_value * len(tests), gain, _size(model, left_w), shape, times)
             break
     return sorted(out.values(), key=lambda s: -s.gain_nats)
 
 
-def _words(model: Model, name: str, times: str, knots: Array, values: Array, power_w: Array) -> str:
-    """What is said of a curve with values at the knots beyond the first, which is its reference. `power_w`: of the
-    curve in each row [W]; what base and effects can take of it is not told."""
-    layout, left_w = model.design.layout, _beside(model, power_w)
+def _size(model: Model, power_w: Array) -> float:
+    """How much a curve over the rows [W] varies, in parts of the mean power."""
+    return float(np.mean(np.abs(power_w - np.average(power_w)))) / model.design.layout.mean_power_w
+
+
+def _words(model: Model, name: str, times: str, knots: Array, values: Array, left_w: Array) -> str:
+    """What is said of a curve with values at the knots beyond the first, which is its reference. `left_w`: what base
+    and effects leave of it in each row [W]."""
     what = f"residual varies with {plain(name)}" + (f" (times {plain(times)})" if times else "")
-    what += f" (by {100 * float(np.mean(np.abs(left_w))) / layout.mean_power_w:.1f} % of the power)"
+    what += f" (by {100 * float(np.mean(np.abs(left_w))) / model.design.layout.mean_power_w:.1f} % of the power)"
     if len(values) != len(knots) - 1 or known(name).text:
         return what
     curve = np.append(0.0, values)
@@ -325,7 +327,7 @@ def wrong_form(model: Model, column: int) -> Structure | None:
         sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
         if own < GROSS * free or (own < ratio * free and sure):
             size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-            curve = _words(model, covariate, times, knots, values, values @ rows)
+            curve = _words(model, covariate, times, knots, values, _beside(model, values @ rows))
             words = f"{plain(covariate)}: form not right ({curve})"
             return Structure(covariate, p_value, beyond, size, words)
     return None
