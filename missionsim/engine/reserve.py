@@ -26,8 +26,8 @@ class Homing:
     """Ways to the dock of a mission.
 
     The dock is the policy's; without one the nearest place with a charger; without any charger the place where the
-    mission starts. The way is the shortest by length, driven with the scheme, sensors, payload and speed of the last
-    leg that drove (the defaults before the first), without stretch. `routes`: None without an environment: then there
+    mission starts. The way is the shortest by length, driven with the scheme, sensors, payload, stretch and asked
+    speed of the last leg that drove (the defaults before the first). `routes`: None without an environment: then there
     is no way home.
     """
 
@@ -75,8 +75,8 @@ class Homing:
             for way in ways:
                 on = way.end == edge.end
                 metres = way.length_m - here if on else here
-                first = [_leg(like, way)._replace(distance_m=metres)] if metres > 0.0 else []
-                again = [_leg(like, other)._replace(distance_m=metres) for other in ways if other.end != way.end]
+                first = [_leg(like, way, way.length_m - metres)] if metres > 0.0 else []
+                again = [_leg(like, other, 0.0, metres) for other in ways if other.end != way.end]
                 if not (back and stands):  # it need not come back to the very place
                     starts.append((way.end, first, [], on))
                 elif on and (again or not first):
@@ -96,19 +96,26 @@ class Homing:
         return best
 
 
-def _leg(like: Leg, way: Way) -> Leg:
-    speed = min(like.speed_m_s, way.max_speed_m_s)
-    base = like.beside or like.settings  # an edge's own floor, slope and conditions end with it
+def _leg(like: Leg, way: Way, from_m: float = 0.0, to_m: float | None = None) -> Leg:
+    base = like.beside or like.settings  # an edge's own floor, slope, conditions and speed limit end with it
+    pace = like.pace._replace(way=way.max_speed_m_s)
+    edge = OnEdge(way.begin, way.end, way.edge, from_m, way.length_m if to_m is None else to_m)
     return Leg(
         "roll",
         along(base, way),
-        way.length_m,
-        speed,
+        (edge.to_m - edge.from_m) * _stretch(like),
+        pace.speed,
         instant=like.instant,
         place=way.end,
-        edge=OnEdge(way.begin, way.end, way.edge, 0.0, way.length_m),
+        edge=edge,
         beside=base,
+        pace=pace,
     )
+
+
+def _stretch(leg: Leg) -> float:
+    """Metres driven for each of the map."""
+    return 1.0 if leg.edge is None else leg.distance_m / (leg.edge.to_m - leg.edge.from_m)
 
 
 def _length(ways: Sequence[Way]) -> float:
@@ -153,7 +160,7 @@ def home_energies(
                 clock = row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
             # rounds that are repeated have the same ways home
             warm = () if last is None else tuple(float(values[last]) for values in lags.values())
-            key = place, driven.beside or driven.settings, driven.speed_m_s, driven.instant, warm, clock
+            key = place, driven.beside or driven.settings, driven.pace, _stretch(driven), driven.instant, warm, clock
             if key not in ways:
                 ways[key] = [_leg(driven, way) for way in home]
         keys.append(key)

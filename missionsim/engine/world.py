@@ -215,7 +215,7 @@ class World:
         made: list[Step] = []
         if braking_s and decel:  # to a standstill on the leg under way
             bend = leg.curvature_1_m
-            braking = Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend)
+            braking = Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend, pace=leg.pace)
             legs.append(braking._replace(instant=leg.instant, segment=leg.segment))
             yaw = {"yaw_rad_s": speed * bend, "yaw_rad_s2": -decel * bend}
             made.append(Step("roll", (Phase(braking_s, len(legs) - 1, speed, -decel, moving=True, **yaw),)))

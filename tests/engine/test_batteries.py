@@ -261,6 +261,26 @@ def test_what_an_edge_has_of_its_own_ends_with_it_on_the_way_home() -> None:
     assert result.batteries["main"].home_wh == pytest.approx((30.0 * 100.0 + 50.0 * 30.0) / 3600.0)
 
 
+@pytest.mark.parametrize(
+    ("edge", "behaviour", "home_j"),
+    [
+        ({"max_speed": 0.5}, {}, 60.0 * 30.0 + 50.0 * 30.0),  # its limit held to the dock: 160 s in place of 110 s
+        ({}, {"path_stretch": 1.2}, 1.2 * 80.0 * 30.0),  # the way home was not stretched
+        ({}, {"speed_tracking": 0.8}, 100.0 * 30.0),
+    ],
+)
+def test_the_way_home_is_driven_as_a_drive_to_the_dock_is(
+    edge: dict[str, Any], behaviour: dict[str, float], home_j: float
+) -> None:
+    site = {**PLACES, "edges": [*PLACES["edges"][:2], {**PLACES["edges"][2], **edge}]}
+    there = {"drive": {"to": "aside", "speed": 1.0}}
+    result = run([there], simple(), site, start="dock", behaviour=behaviour)
+    again = run([there, {"drive": {"to": "dock", "speed": 1.0}}], simple(), site, start="dock", behaviour=behaviour)
+    assert result.batteries["main"].home_wh == pytest.approx(home_j / 3600.0)
+    back_wh = again.batteries["main"].energy_wh - result.batteries["main"].energy_wh
+    assert back_wh == pytest.approx(home_j / 3600.0)
+
+
 def test_reserve_for_the_way_home_at_each_place() -> None:
     result = run(
         [{"drive": {"to": "end", "speed": 1.0}}, {"drive": {"to": "aside", "speed": 0.5}}, {"wait": {"duration": 60}}],
