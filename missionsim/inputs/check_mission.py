@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from missionsim.errors import Fault, did_you_mean
-from missionsim.glossary import COLUMNS, column_of
+from missionsim.errors import Fault
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter, uncertain_values
-from missionsim.inputs.power import build_power_model, strange_floors
+from missionsim.inputs.power import strange_floors
 from missionsim.inputs.robot import RobotSpec
-from missionsim.inputs.segments import every_segment, flat_segments
-from missionsim.inputs.tree import Document, Where
+from missionsim.inputs.segments import every_segment, fastest, flat_segments
+from missionsim.inputs.tree import Where
+from missionsim.inputs.unread import unread_conditions, unread_settings
 from missionsim.inputs.validation import Checker
 
 _DECIDED = {"time_s", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s", "slope_rad", "payload_kg"}
@@ -46,7 +45,7 @@ def check_mission(mission: MissionSpec) -> list[Fault]:
         check.keys(("behaviour", "schemes"), mission.behaviour.schemes, check.robot.schemes, "control scheme")
     check.chances()
     check.correlations()
-    unread = (*_unread(mission), *_unread_conditions(mission))
+    unread = (*unread_settings(mission), *unread_conditions(mission))
     return [*check.faults, *unread, *strange_floors(mission, flat_segments(mission.segments))]
 
 
@@ -240,11 +239,14 @@ class _MissionCheck(Checker):
                 self.add(at, f"{whose} does not use {count} of '{sensor}'", f"{sensor}: {count}", text)
         body, of = robot.body, f" of {robot.name})"
         told: set[str] = set()
-        top, sideways = body.max_speed, body.max_lateral_speed
-        if getattr(settings, "kind", "") == "move" and sideways is not None and sideways.value > top.value:
-            top = sideways
+        top, limits, sideways = body.max_speed, "max_speed", body.max_lateral_speed
+        if getattr(settings, "kind", "") == "move" and sideways is not None:
+            top, limits = (
+                Parameter(fastest(settings.direction.value, top.value, sideways.value)),
+                f"{limits} and max_lateral_speed",
+            )
         for key, most, message, unit, whose in (
-            ("speed", top, "faster than the robot", "m/s", f" (body.max_speed{of}"),
+            ("speed", top, "faster than the robot", "m/s", f" (body.{limits}{of}"),
             ("speed", None if scheme is None else scheme.max_speed, f"faster than control scheme '{name}'", "m/s", ""),
             ("yaw_rate", body.max_yaw_rate, "turns faster than the robot", "rad/s", f" (body.max_yaw_rate{of}"),
             ("payload", body.max_payload, "more than the robot carries", "kg", ""),
@@ -337,64 +339,3 @@ class _MissionCheck(Checker):
 
 def _count(segments: Sequence[Any]) -> int:
     return sum(item.least * _count(item.segments) if item.kind == "repeat" else 1 for item in segments)
-
-
-_READERS = {"slope": {"grade", "copper_loss"}, "payload": {"payload", "grade", "acceleration", "copper_loss"}}
-"""Effects of the library that read the setting; lifting, speeding up and pulling read the load as part of the mass."""
-_WORDS = {"slope": re.compile(r"\b(slope_rad|theta)\b"), "payload": re.compile(r"\b(payload_kg|mass_kg|m)\b")}
-
-
-def _unread(mission: MissionSpec) -> Iterator[Fault]:
-    """Warnings for slopes and payloads that the robot's model does not know, each once, at its first place; nothing is
-    said without a robot, or with a faulty one."""
-    robot, environment = mission.robot, mission.environment
-    motion = None if robot is None else robot.motion
-    if robot is None or not (mission.whole and robot.whole and robot.sound):
-        return
-    if motion is not None and motion.model not in ("polynomial", "expression", "none"):
-        return  # models of other packages count as reading all
-    effects = [effect for effect in robot.effects if not effect.candidate]
-    formulas = [effect.power for effect in effects] + ([motion.power, motion.standing] if motion is not None else [])
-    formulas += [load.law.power for part in robot.components.values() for load in part.loads if load.law is not None]
-    for setting in ("slope", "payload"):
-        if any(effect.effect in _READERS[setting] for effect in effects):
-            continue
-        if any(_WORDS[setting].search(text) for text in formulas if text):
-            continue
-        segments = list(flat_segments(mission.segments))
-        places = [(mission.document, (*s.where, setting), getattr(s, setting, None)) for s in segments]
-        if setting == "payload":
-            places.insert(0, (mission.document, ("defaults", "payload"), mission.defaults.payload))
-        elif environment is not None and any(getattr(s, "to", None) or getattr(s, "along", None) for s in segments):
-            edges = enumerate(environment.edges)
-            places += [(environment.document, ("edges", index, "slope"), edge.slope) for index, edge in edges]
-        for document, where, given in places:
-            if given is not None and given.value:
-                message = f"this {setting} costs nothing: no term of robot '{robot.name}' depends on it"
-                got = f"{given.value:.4g} rad" if setting == "slope" else f"{given.value:g} kg"
-                effect = "grade" if setting == "slope" else "payload"
-                added = f"effects: [{{effect: {effect}, battery: …, parameters: {{k: …}}}}]"
-                advice = f"{added}, or the motion model traction"
-                yield document.fault(where, message, got=got, allowed=advice, warning=True)
-                break
-
-
-def _unread_conditions(mission: MissionSpec) -> Iterator[Fault]:
-    """Warnings for conditions that neither the robot's model nor the glossary knows, each once, at its first place."""
-    robot, environment = mission.robot, mission.environment
-    if robot is None or not (mission.whole and robot.whole and robot.sound):
-        return
-    if any(load.law is not None and load.law.model for part in robot.components.values() for load in part.loads):
-        return  # these laws read more than they need
-    sources: list[tuple[Document, Where, Any]] = [(mission.document, ("defaults",), mission.defaults)]
-    sources += [(mission.document, segment.where, segment) for segment in flat_segments(mission.segments)]
-    if environment is not None:
-        sources.append((environment.document, ("ambient",), environment.ambient))
-        sources += [(environment.document, ("edges", index), edge) for index, edge in enumerate(environment.edges)]
-    strange = {name: (document, where) for document, where, of in reversed(sources) for name in of.conditions}
-    read = build_power_model(robot).needs if strange else frozenset()
-    for name, (document, where) in strange.items():
-        if name not in read and column_of(name) is None:
-            message = f"condition '{name}' costs nothing: no term of robot '{robot.name}' reads it"
-            hint = did_you_mean(name, sorted(read) + [column.name for column in COLUMNS])
-            yield document.fault((*where, "conditions", name), message, name, "", hint, key=True, warning=True)

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, WrapValidator
 from pydantic_core import core_schema
 
@@ -95,6 +96,14 @@ class MoveSegment(SegmentSpec):
     distance: values.Distance
     direction: values.Angle
     slope: values.Slope | None = None
+
+
+def fastest(direction_rad: float, forward_m_s: float, sideways_m_s: float) -> float:
+    """Greatest speed in a direction: its parts ahead and sideways each have their limit; one number or one a run."""
+    ahead, aside = (np.maximum(np.abs(part(direction_rad)), 1e-12) for part in (np.cos, np.sin))
+    within = np.minimum(forward_m_s / ahead, sideways_m_s / aside)
+    most: float = np.minimum(within, np.maximum(forward_m_s, sideways_m_s))
+    return most
 
 
 class InspectSegment(SegmentSpec):

@@ -23,6 +23,7 @@ from missionsim.inputs.segments import (
     SegmentSpec,
     TurnSegment,
     WaitSegment,
+    fastest,
 )
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
@@ -353,7 +354,12 @@ class _Builder(Asked):
 
     def _move(self, segment: MoveSegment, base: Settings) -> None:
         direction = self.number(segment.direction)
-        self._ahead("slide", segment, base, self.number(segment.distance), self.pace(segment), direction_rad=direction)
+        body, most = self.robot.body, math.inf
+        if body.max_lateral_speed is not None:  # a speed that is not the segment's own is cut to it
+            limits = self.number(body.max_speed, "robot."), self.number(body.max_lateral_speed, "robot.")
+            most = fastest(direction, *limits)
+        pace = self.pace(segment, most)
+        self._ahead("slide", segment, base, self.number(segment.distance), pace, direction_rad=direction)
         self.place = ""
 
     def _inspect(self, segment: InspectSegment, base: Settings) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission
+from tests.engine.making import robot, run
 
 EXACT = 1e-9
 G = 9.80665
@@ -297,3 +298,12 @@ def test_no_shipped_mission_is_left_out(root: Path) -> None:
     for path in sorted((root / "missions").glob("*/*.yaml")):
         if "kind: mission" in path.read_text().split("segments:")[0] and not path.stem.startswith("corridor_"):
             assert f'{path.parent.name}/{path.stem}"' in text or f'"{path.stem}"' in text, path
+
+
+@pytest.mark.parametrize(("degrees", "speed"), [(90, 0.5), (45, 0.5 * math.sqrt(2.0)), (0, 1.0), (180, 1.0)])
+def test_a_speed_of_the_defaults_is_cut_to_what_the_robot_does_sideways(degrees: int, speed: float) -> None:
+    """The limit sideways was read only where it is above `max_speed`."""
+    machine = robot(body__max_lateral_speed=0.5)
+    move = {"move": {"distance": 5.0, "direction": f"{degrees} deg"}}
+    result = run([move], machine, defaults={"speed": 1.0, "profile": "constant_speed"})
+    assert result.duration_s == pytest.approx(5.0 / speed)

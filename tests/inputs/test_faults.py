@@ -33,6 +33,7 @@ name: e
 places: {A: {x: 0, y: 0}, B: {x: 10, y: 0}, C: {x: 0, y: 5}}
 edges: [{from: A, to: B}]
 """
+SIDEWAYS = "model: expression, power: abs(v) + abs(u), standing: '1'"
 MISSION = """\
 kind: mission
 name: m
@@ -222,6 +223,37 @@ def test_sideways_only_where_the_drive_can(folder: Path) -> None:
         "mission.yaml:8:5: error: a differential drive cannot move sideways\n    at: segments.0.move\n    got: move\n"
         "    allowed: mecanum or omni drive"
     ]
+
+
+@pytest.mark.parametrize(
+    ("direction", "speed", "most"),
+    [("90 deg", "0.5 m/s", "0.2"), ("45 deg", "0.5 m/s", "0.282843"), ("0", "0.9 m/s", "")],
+)
+def test_a_speed_sideways_has_its_own_limit(folder: Path, direction: str, speed: str, most: str) -> None:
+    """It was taken for a greatest speed only where it was above `max_speed`."""
+    change("robot", "drive: differential", "drive: omni, max_lateral_speed: 0.2 m/s")
+    change("robot", "model: polynomial, parameters: {c2: 1, c3: 2, c4: 3}", SIDEWAYS)
+    change("mission", "- drive: {to: B}", f"- move: {{distance: 1 m, direction: {direction}, speed: {speed}}}")
+    allowed = f"at most {most} m/s (body.max_speed and max_lateral_speed of r)"
+    assert [text.splitlines()[1:] for text in told("mission.yaml")] == (
+        [["    at: segments.0.move.speed", f"    got: {speed}", f"    allowed: {allowed}"]] if most else []
+    )
+
+
+def test_going_sideways_at_no_cost_is_told(folder: Path) -> None:
+    change("robot", "drive: differential", "drive: omni")
+    change(
+        "mission",
+        "- drive: {to: B}",
+        "- move: {distance: 1 m, direction: 90 deg}\n  - move: {distance: 1 m, direction: 180 deg}",
+    )
+    assert told("mission.yaml") == [
+        "mission.yaml:8:38: warning: going sideways costs nothing: no term of robot 'r' depends on it\n"
+        "    at: segments.0.move.direction\n    got: 1.571 rad\n"
+        "    allowed: u in a formula of motion, or the motion model mecanum"
+    ]
+    change("robot", "model: polynomial, parameters: {c2: 1, c3: 2, c4: 3}", SIDEWAYS)
+    assert told("mission.yaml") == []
 
 
 def test_all_faults_of_all_files_at_once(folder: Path) -> None:
