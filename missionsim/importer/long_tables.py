@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import Field, guess_all, words_of
+from missionsim.importer.roles import UNITS, Field, guess_all, known_unit, words_of
 from missionsim.inputs.log_map import LongMap
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, number_of, numbers_in, numbers_of
@@ -32,8 +32,8 @@ _NUMBERS = 0.5
 
 
 def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.int64], ColumnData]]:
-    """Each signal of a table: its name, with a unit in brackets behind it; its rows; and its values there. Raises
-    KeyError: a column that is not in the table."""
+    """Each signal of a table: its name, with a unit in brackets behind it, the first that its rows have, to which those
+    in others are converted; its rows; and its values there. Raises KeyError: a column that is not in the table."""
     texts = [_texts(raw.columns[name]) for name in long.name]
     units = _texts(raw.columns[long.unit]) if long.unit else None
     code = np.zeros(raw.rows, dtype=np.int64)
@@ -41,6 +41,7 @@ def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.i
         _, code = np.unique(code * (len(one.names) + 1) + one.codes + 1, return_inverse=True)
     order = np.argsort(code, kind="stable")
     values = raw.odd.get(long.value, raw.columns[long.value])
+    parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], str, float, ColumnData]]] = {}
     for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
         if not len(rows):
             continue
@@ -49,7 +50,24 @@ def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.i
         found = _numbers(values[rows], raw.decimal)
         known = found.codes >= 0 if isinstance(found, Labels) else np.isfinite(found)
         if name and known.any():
-            yield f"{name} [{unit}]" if unit else name, rows[known], found[known]
+            kind, factor = UNITS.get(known_unit(unit), (unit, 1.0))
+            if isinstance(found, Labels) or kind == "temperature":
+                kind, factor = unit, 1.0
+            parts.setdefault((name, kind), []).append((rows[known], unit, factor, found[known]))
+    for name in [name for name, kind in parts if not kind]:
+        told = [same for (other, kind), same in parts.items() if other == name and kind]
+        if len(told) == 1:  # a unit that not every row repeats
+            size = min(told[0], key=lambda part: part[0][0])[2]
+            told[0] += [(rows, unit, size, data) for rows, unit, _, data in parts.pop((name, ""))]
+    for (name, _), same in parts.items():
+        (rows, _, size, data), *others = sorted(same, key=lambda part: part[0][0])
+        unit = next((part[1] for part in same if part[1]), "")
+        if others:
+            rows = np.concatenate([rows, *(part[0] for part in others)])
+            data = np.concatenate([np.asarray(data), *(np.asarray(part[3]) * (part[2] / size) for part in others)])
+            order = np.argsort(rows)
+            rows, data = rows[order], data[order]
+        yield f"{name} [{unit}]" if unit else name, rows, data
 
 
 def _texts(data: ColumnData) -> Labels:

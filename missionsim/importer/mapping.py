@@ -26,7 +26,7 @@ from missionsim.logs.clean import count_on, out_of_order, refuse_turns
 from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
-from missionsim.logs.readers import reader_of
+from missionsim.logs.readers import reader_of, run_of
 from missionsim.logs.times import close_jumps
 from missionsim.physics import Array
 from missionsim.runs.run import Run
@@ -175,7 +175,7 @@ def _mapped(path: Path, spec: MapSpec) -> Iterator[RawTable]:
     """Blocks of a text table in the columns of a map."""
     zero = last = None
     for raw in iter_csv(path, _BLOCK_ROWS, options=table_options(spec)):
-        mapper = Mapper(spec, with_names(raw, spec), path.stem)
+        mapper = Mapper(spec, with_names(raw, spec), run_of(path))
         columns, _, number, remarks = _columns(mapper, np.arange(raw.rows))
         time = np.asarray(columns["time_s"])
         if mapper.clock not in ("utc", "own") or not np.isfinite(time).all():

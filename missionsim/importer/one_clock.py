@@ -12,6 +12,8 @@ from missionsim.logs.raw import Remark
 from missionsim.logs.readers import Topic
 
 _DAY_S = 86400.0
+_DATED_S = 1e8
+"""Times beyond it are seconds since 1970 (assumed: from 1973 on)."""
 
 
 def one_clock(topics: Sequence[Topic], clocks: dict[str, str], path: Path, remarks: list[Remark]) -> None:
@@ -25,7 +27,17 @@ def one_clock(topics: Sequence[Topic], clocks: dict[str, str], path: Path, remar
     if not topics:
         allowed = "rows with a time and a value"
         raise InputError.single("these files hold no row with a time and a value", file=str(path), allowed=allowed)
-    kinds = {clocks[topic.name.partition(".")[0]] for topic in topics}
+    starts = {topic.name.partition(".")[0]: np.inf for topic in topics}
+    for topic in topics:
+        alias = topic.name.partition(".")[0]
+        starts[alias] = min(starts[alias], float(topic.time_s.min()))
+    for alias in starts:
+        if clocks[alias] in ("utc", "own"):  # a recording may count from its start, and a lag lead to a date
+            clocks[alias] = "utc" if starts[alias] > _DATED_S else "own"
+    kinds = {clocks[alias] for alias in starts}
+    early, late = min(starts, key=starts.__getitem__), max(starts, key=starts.__getitem__)
+    lag = f"`lag: {starts[early] - starts[late]:.3f} s` for {early} lets it begin with {late}"
+    hint = f"{lag}: correct it by what you know of both"
     if kinds & {"utc", "local"} and "day" in kinds:
         kind = {topic.name: clocks[topic.name.partition(".")[0]] for topic in topics}
         dated = [topic.time_s.min() for topic in topics if kind[topic.name] in ("utc", "local")]
@@ -43,7 +55,8 @@ def one_clock(topics: Sequence[Topic], clocks: dict[str, str], path: Path, remar
     told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
     if "own" in kinds and len(kinds) > 1:
         allowed = "times of day or dates in all of them, or seconds from one start in all"
-        raise InputError.single("these files have no clock in common", file=str(path), got=told, allowed=allowed)
+        message = "these files have no clock in common"
+        raise InputError.single(message, file=str(path), got=told, allowed=allowed, hint=hint)
     if kinds == {"own"} and len(clocks) > 1:
         action = "taken as counted from one start"
         remarks.append(Remark("clock", "", "the files have no clock but seconds of their own", action, "warning"))
@@ -51,7 +64,7 @@ def one_clock(topics: Sequence[Topic], clocks: dict[str, str], path: Path, remar
     if begin >= end:
         late = max(spans, key=lambda name: spans[name][0])
         apart = begin - end
-        zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else ""
+        zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else hint
         message = f"the files do not overlap: {late} begins {apart:.6g} s after another one ends"
         raise InputError.single(message, file=str(path), got=told, allowed="files of one run", hint=zone)
     if {"utc", "local"} <= kinds:

@@ -169,9 +169,10 @@ def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> l
         raw = reader.table(path, Options(most=most))
         titles = {remark.column: TIME_STAMP for remark in raw.remarks if remark.message == TIME_STAMP}
         return [Field(name, len(data), data, title=titles.get(name, "")) for name, data in raw.columns.items()]
-    topics = sorted(recorded(reader, path, Options(most=most)).topics, key=lambda topic: topic.name)
-    return [Field(f"{one.name} ({one.title})", one.count, np.empty(0)) for one in topics if not one.columns] + [
-        Field(f"{one.name}.{name}", one.count or len(data), data, one.time_s, one.title)
+    found = recorded(reader, path, Options(most=most))
+    topics = sorted(found.topics, key=lambda topic: topic.name)
+    return [Field(f"{one.name} ({one.title})", one.count, np.empty(0)) for one in topics if one.undefined] + [
+        Field(f"{one.name}.{name}", one.count or len(data), data, one.time_s + found.start_s, one.title)
         for one in topics
         for name, data in one.columns.items()
     ]

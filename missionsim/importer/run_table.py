@@ -15,7 +15,7 @@ from missionsim.importer.sources import Source, column_name, identifier
 from missionsim.inputs.log_map import MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.logs.readers import Options, reader_of, source_suffixes
+from missionsim.logs.readers import Options, reader_of, source_suffixes, unpacked_name
 from missionsim.runs.run import Run
 
 Piece = tuple[str, NDArray[np.int64]]
@@ -44,7 +44,7 @@ def keys_of(data: ColumnData) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    path = text.strip().replace("\\", "/")
+    path = unpacked_name(text.strip().replace("\\", "/"))
     return next((path[: -len(end)] for end in source_suffixes() if path.lower().endswith(end)), path)
 
 

@@ -29,6 +29,7 @@ from missionsim.logs.readers import (
     reader_of,
     recorded,
     registry,
+    run_of,
     source_suffixes,
     without_codes,
 )
@@ -142,11 +143,12 @@ def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
 def _named(files: Sequence[Path]) -> list[tuple[str, Path]]:
     """Name of the run of each file: that of its folder, where the names of files in several are alike."""
     folders = [path.resolve().parent for path in files]
-    alike = Counter(path.stem for path in files)
+    alike = Counter(run_of(path) for path in files)
     inside = Counter(folders)
     return [
-        (path.stem if alike[path.stem] == 1 else at.name if inside[at] == 1 else f"{at.name}_{path.stem}", path)
+        (run if alike[run] == 1 else at.name if inside[at] == 1 else f"{at.name}_{run}", path)
         for path, at in zip(files, folders, strict=True)
+        for run in [run_of(path)]
     ]
 
 
@@ -252,7 +254,7 @@ def _merged(topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader |
     known: list[str] | None = None
     every = ((topic, column) for topic in topics for column in topic.columns)
     by_name = {f"{topic.name}.{column}".removesuffix("."): (topic, column) for topic, column in every}
-    unknown = {topic.name: topic.title for topic in topics if not topic.columns}
+    unknown = {topic.name: topic.title for topic in topics if topic.undefined}
     for alias, signal in spec.signals.items():
         field = signal.field.strip()
         full = field if field in by_name or field.startswith("/") else f"/{field}"

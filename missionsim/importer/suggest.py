@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_further, suggest_motion, suggest_power
 from missionsim.importer.long_tables import recognised, signals_of
+from missionsim.importer.one_clock import one_clock
 from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all, guess_role, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
@@ -25,7 +27,8 @@ from missionsim.importer.suggest_runs import join_runs, recognised_runs, table_o
 from missionsim.importer.suggest_time import seconds_and_nanoseconds, suggest_time
 from missionsim.labels import Labels
 from missionsim.logs.clean import in_turn
-from missionsim.logs.readers import Options, reader_of
+from missionsim.logs.raw import Remark
+from missionsim.logs.readers import Options, Topic, reader_of, run_of
 from missionsim.physics import Array
 
 _MOST_ROWS = 200_000
@@ -63,6 +66,11 @@ class Draft:
     columns: dict[str, tuple[str, Guess]] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    clock: str = "own"
+    clocks: dict[str, str] = field(default_factory=dict)
+    """Both: kind of the times of a table, and of each of several files by its short name."""
+    _totals: dict[str, str] = field(default_factory=dict)
+    """Helper that is a sum → what it is called as a field."""
 
     def best(self, role: str, least: float = 0.3) -> list[Guess]:
         """The guesses for a role, best first, also of fields that another role fits better."""
@@ -81,7 +89,7 @@ class Draft:
         """How a formula names a field: itself, or a short name in `signals`."""
         if self.direct and identifier(name) == name and name not in FUNCTIONS and name != "pi" and not iskeyword(name):
             return name
-        for known, there in self.signals.items():
+        for known, there in (*self.signals.items(), *self._totals.items()):
             if there == name:
                 return known
         taken = {identifier(other) for other in self.fields} if self.direct else set()
@@ -89,6 +97,17 @@ class Draft:
             alias += "_"
         self.signals[alias] = name
         return alias
+
+    def total(self, name: str, alias: str, fields: Sequence[str], factors: Sequence[float] = ()) -> str:
+        """The sum of fields of one table or topic, each times its factor, as a helper; what it is called as a field."""
+        first, sizes = self.fields[fields[0]], factors or [1.0] * len(fields)
+        terms = [self.ref(one, f"{alias}_{i}") for i, one in enumerate(fields, 1)]
+        terms = [f"{term} * {size:g}" if size != 1.0 else term for term, size in zip(terms, sizes, strict=True)]
+        values = np.sum([size * self.values(one) for one, size in zip(fields, sizes, strict=True)], axis=0)
+        full = name if self.direct else f"{first.name.rpartition('.')[0]}.{name}"
+        self.let[name], self._totals[name] = " + ".join(terms), full
+        self.fields[full] = replace(first, name=full, count=len(values), values=values, title="")
+        return full
 
     def column(self, name: str, formula: str, guess: Guess) -> None:
         """A column of the log; the first that is given stays."""
@@ -158,13 +177,15 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
         draft.column("time_s", "time_s", Guess("time", "time_s", "", 2.0, "time of the messages", "sure"))
     suggest_power.suggest(draft)
     suggest_motion.suggest(draft)
-    if draft.direct:
+    if draft.direct and draft.time_s is not None:
         times = {*draft.columns["time_s"][1].field.split("\n")}
         times |= {name for pair in seconds_and_nanoseconds(draft.fields) for name in pair}
-        first = {name: guess.field.partition("\n")[0] for name, (_, guess) in draft.columns.items()}
-        jumping = in_turn({name: draft.fields[one].values for name, one in first.items() if one in draft.fields})
-        draft.head |= recognised_runs(draft.fields, draft.time_s, times, [first[name] for name in jumping])
-        if jumping and "by" not in draft.head.get("runs", ""):
+        first = {name: (guess.field.partition("\n")[0], guess.unit) for name, (_, guess) in draft.columns.items()}
+        numbers = {one for one, field in draft.fields.items() if not isinstance(field.values, Labels)}
+        found = {name: draft.values(*one) for name, one in first.items() if one[0] in numbers}
+        turning = {name: first[name][0] for name in in_turn(found | {"time_s": draft.time_s})}
+        draft.head |= recognised_runs(draft.fields, draft.time_s, times, turning)
+        if turning and "by" not in draft.head.get("runs", ""):
             draft.missing.append("rows of several recordings in turn, and no column tells them apart: part the file")
         if table is None and (by := re.match(r"\{by: \[(\w+)\]", draft.head.get("runs", ""))):
             apart = next(one.values for name, one in draft.fields.items() if identifier(name) == by[1])
@@ -173,17 +194,35 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
         join_runs(draft, *table)
     suggest_motion.suggest_others(draft)
     suggest_further.suggest(draft)
-    if table is None and not joined:
+    if joined:
+        _on_one_clock(draft, paths[0])
+    elif table is None:
         from_names(draft, paths)
     draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
     used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")}
-    used |= set(re.findall(r"\w+", " ".join(draft.let.values())))
+    formulas = [*draft.let.values(), *(formula for formula, _ in draft.columns.values())]
+    used |= set(re.findall(r"\w+", " ".join(formulas)))
     return Suggestion(
         _text(draft, [*joined] or [paths[0]], used),
         {name: guess for name, (_, guess) in draft.columns.items()},
         tuple(draft.missing),
         tuple(draft.remarks),
     )
+
+
+def _on_one_clock(draft: Draft, path: Path) -> None:
+    """Say how the clocks of the files of a run are brought to one; ask where they cannot be."""
+    used = [one for name in draft.signals.values() if (one := draft.fields.get(name)) is not None]
+    topics = [Topic(one.name, one.time_s, {}) for one in used if one.time_s is not None]
+    if any(len(topic.time_s) >= _MOST_ROWS for topic in topics):
+        return  # their ends were not read
+    remarks: list[Remark] = []
+    try:
+        one_clock(topics, draft.clocks, path, remarks)
+    except InputError as error:
+        fault = error.faults[0]
+        draft.missing.append(f"{fault.message} ({fault.got}): {fault.hint}")
+    draft.remarks += [f"{remark.message}; {remark.action}" for remark in remarks if remark.severity == "warning"]
 
 
 def _single(path: Path) -> Draft:
@@ -251,16 +290,16 @@ def _joined(paths: Mapping[Path, Sequence[Path]]) -> Draft:
     """Fields of several files under ``file.column``, with the time of each. `paths`: with all files of its layout."""
     draft = Draft({}, False)
     # what the names of the files of a run begin with, up to and with a mark
-    match = re.match(r".*[_\- ]", os.path.commonprefix([path.stem for path in paths]))  # noqa: RUF071 (names, no paths)
+    match = re.match(r".*[_\- ]", os.path.commonprefix([run_of(path) for path in paths]))  # noqa: RUF071 (names, no paths)
     prefix, files = match[0] if match else "", []
     for path in paths:
-        alias = identifier(path.stem[len(prefix) :].strip("_- ") or path.stem).lower()
+        alias = identifier(run_of(path)[len(prefix) :].strip("_- ") or run_of(path)).lower()
         reader = reader_of(path)
         fields = fields_of(path, reader, _MOST_ROWS)
         pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else _pattern(paths[path])
         if len(paths) == 1:
-            alias, pattern = "log", "{run}" + path.suffix
-        names, times, comment = list[str](), "", ""
+            alias, pattern = "log", "{run}" + path.name[len(run_of(path)) :]
+        names, times, comment, clock = list[str](), "", "", "utc"
         more: dict[str, Any] = {}
         if reader.table is not None:
             own = Draft({one.name: one for one in fields}, True)
@@ -270,7 +309,7 @@ def _joined(paths: Mapping[Path, Sequence[Path]]) -> Draft:
                 draft.missing.append(f"{path.parent.name}/{path.name}: {told}")
                 files.append(f"  {alias}: {{name: {quoted(pattern)}, time: TIME}}  # not found")
                 continue
-            time = own.columns["time_s"][1]
+            time, clock = own.columns["time_s"][1], own.clock
             names, more = time.field.split("\n"), {"time_s": own.time_s, "title": path.name}
             unit = f", unit: {quoted(time.unit)}" if time.unit else ""
             times = f", time: [{', '.join(map(quoted, names))}]{unit}"
@@ -288,6 +327,7 @@ def _joined(paths: Mapping[Path, Sequence[Path]]) -> Draft:
             if one.name not in names:
                 name = f"{alias}.{one.name}"
                 draft.fields[name] = replace(one, name=name, joined=reader.table is not None, **more)
+        draft.clocks[alias] = clock
         files.append(f"  {alias}: {{name: {quoted(pattern)}{times}}}{comment}")
     draft.head["files"] = "\n" + "\n".join(files)
     return draft
@@ -301,7 +341,7 @@ def _text(draft: Draft, paths: Sequence[Path], used: set[str]) -> str:
         *(f"# {remark}" for remark in draft.remarks),
         *(f"# TO DO: {message}" for message in draft.missing),
         "kind: map",
-        f"name: {identifier(paths[0].stem if len(paths) == 1 else paths[0].resolve().parent.name).lower()[:60]}",
+        f"name: {identifier(run_of(paths[0]) if len(paths) == 1 else paths[0].resolve().parent.name).lower()[:60]}",
     ]
     for key in ("table", "files"):
         if key in draft.head:

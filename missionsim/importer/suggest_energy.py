@@ -131,25 +131,43 @@ def _per_row(draft: Draft, guess: Guess) -> list[str]:
     return [guess.field]
 
 
-def sum_of_cells(draft: Draft, volts: list[Guess]) -> list[Guess]:
-    """Voltages, the one of a pack first: of all cells together where only cells are logged, with a question."""
-    cells = [guess for guess in volts if re.search(r"\bcells?\b", words_of(guess.field)[0])]
-    if not cells or volts[0] not in cells or not draft.direct:
-        return volts
-    first = cells[0]
-    alike = [one for one in cells if re.sub(r"\d+", "#", one.field) == re.sub(r"\d+", "#", first.field)]
-    if len(alike) < 2:
+_CELL = r"(?<![a-z])[uv]?(cells?|zellen?)(?![a-z])"
+_CELL_V = (1.5, 4.5)
+"""Volts of a cell at least and at most (assumed): so it is told where its name says no unit."""
+
+
+def sum_of_cells(draft: Draft, volts: list[Guess], needed: bool) -> list[Guess]:
+    """Voltages, none of them that of one cell: where one is needed and only cells are logged that of all together, with
+    a question."""
+    packs = [guess for guess in volts if not re.search(_CELL, words_of(guess.field)[0])]
+    if packs or not needed:
+        return packs
+    groups: dict[str, list[Guess]] = {}
+    for one in draft.fields.values():
+        if unit := _unit_of_cell(one):
+            guess = Guess("voltage", one.name, unit, 0.6, "the name", "a guess")
+            groups.setdefault(re.sub(r"\d+", "#", one.name), []).append(guess)
+    alike = max(groups.values(), key=len, default=[])
+    if len(alike) > 1:
+        told = f"{len(alike)} voltages of cells were added up: are these all cells of the battery, in series?"
+        draft.missing.append(told)
+        total = draft.total("cells_v", "cell", [one.field for one in alike])
+        return [replace(alike[0], field=total, why=f"the sum of {len(alike)} cells")]
+    for first in volts[:1]:
         draft.missing.append(
             f"'{first.field}' is the voltage of one cell: multiply it by the number of cells in series"
         )
-        return volts
-    draft.missing.append(
-        f"{len(alike)} voltages of cells were added up: are these all cells of the battery, in series?"
-    )
-    draft.let["cells_v"] = " + ".join(draft.ref(one.field, f"cell_{i}") for i, one in enumerate(alike, 1))
-    total = np.sum([draft.values(one.field) for one in alike], axis=0)
-    draft.fields["cells_v"] = Field("cells_v", len(total), total)
-    return [replace(first, field="cells_v", sure="a guess", why=f"the sum of {len(alike)} cells"), *volts]
+    return volts
+
+
+def _unit_of_cell(one: Field) -> str:
+    """V or mV for a field that is the voltage of a cell by its name, and its unit or size; else nothing."""
+    words, unit = words_of(one.name)
+    if not re.search(_CELL, words) or not re.search(r"\d", one.name) or isinstance(one.values, Labels):
+        return ""
+    level = float(np.nanmedian(one.values)) if np.isfinite(one.values).any() else 0.0
+    units = [unit] if unit else ["V", "mV"]
+    return next((one for one in units if one in ("V", "mV") and _CELL_V[0] < level * size_of(one) < _CELL_V[1]), "")
 
 
 def sum_of_currents(draft: Draft, volts: Guess, amps: Guess) -> Guess:
@@ -174,10 +192,9 @@ def sum_of_currents(draft: Draft, volts: Guess, amps: Guess) -> Guess:
     draft.missing.append(
         f"{len(alike)} currents were added up: is each that of another part of what the battery feeds?"
     )
-    draft.let["currents"] = " + ".join(draft.ref(name, f"amps_{i}") for i, name in enumerate(alike, 1))
-    total = np.sum([draft.values(name) for name in alike], axis=0)
-    draft.fields["currents"] = Field("currents", len(total), total)
-    return replace(amps, field="currents", sure="a guess", why=f"the sum of {', '.join(alike)}")
+    return replace(
+        amps, field=draft.total("currents", "amps", alike), sure="a guess", why=f"the sum of {', '.join(alike)}"
+    )
 
 
 def delivered(draft: Draft) -> Array | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.importer.roles import ROLES, UNITS, Field, Guess, folded, size_of, words_of
+from missionsim.importer.roles import ROLES, UNITS, Guess, folded, size_of, words_of
 from missionsim.importer.suggest_energy import goes_back
 from missionsim.labels import Labels
 
@@ -56,15 +56,9 @@ def with_larger_parts(draft: Draft, power: list[Guess]) -> list[Guess]:
         return power
     told = f"'{first.field}' is less than '{larger}', so it is not all that the battery gives: all were added up"
     draft.missing.append(f"{told}; is anything fed beside them?")
-    terms = [(first.field, 1.0), *parts]
-    draft.let["parts_w"] = " + ".join(
-        draft.ref(name, f"part_{i}") + (f" * {factor:g}" if factor != 1.0 else "")
-        for i, (name, factor) in enumerate(terms, 1)
-    )
-    total = np.sum([factor * draft.values(name) for name, factor in terms], axis=0)
-    draft.fields["parts_w"] = Field("parts_w", len(total), total)
-    why = f"the sum of {', '.join(name for name, _ in terms)}"
-    return [replace(first, field="parts_w", sure="a guess", score=1.0, why=why), *power]
+    terms = {first.field: 1.0} | dict(parts)
+    total = draft.total("parts_w", "part", list(terms), list(terms.values()))
+    return [replace(first, field=total, sure="a guess", score=1.0, why=f"the sum of {', '.join(terms)}"), *power]
 
 
 def no_power(draft: Draft, volts: Sequence[Guess]) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from missionsim.importer.roles import Guess, known_unit, size_of
 from missionsim.importer.suggest_motion import quoted
+from missionsim.logs.readers import run_of
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
@@ -48,7 +49,7 @@ def _differing(paths: Sequence[Path]) -> list[list[str]]:
     if len(paths) < 3 or len({path.suffix for path in paths}) > 1:
         return []
     found: list[list[str]] = []
-    for names in ([path.stem for path in paths], [path.resolve().parent.name for path in paths]):
+    for names in ([run_of(path) for path in paths], [path.resolve().parent.name for path in paths]):
         parts = [re.split(r"[_\s-]+", name) for name in names]
         if len({len(part) for part in parts}) > 1:
             continue

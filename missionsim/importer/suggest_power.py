@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import ROLES, UNITS, Field, Guess, folded, words_of
+from missionsim.importer.roles import ROLES, UNITS, Guess, folded, words_of
 from missionsim.importer.suggest_energy import (
     from_charge,
     from_counter,
@@ -54,8 +54,7 @@ def suggest(draft: Draft) -> None:
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     volts.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")
-    if not power and amps:
-        volts = sum_of_cells(draft, volts)
+    volts = sum_of_cells(draft, volts, not power and bool(amps))
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
     power = power if pair is not None else with_larger_parts(draft, power)
@@ -109,11 +108,9 @@ def _all_sides(draft: Draft, power: list[Guess]) -> list[Guess]:
     alike = [one for one in power if re.sub(_SIDE, "#", words_of(one.field)[0]) == pattern and one.unit == first.unit]
     if draft.direct and "#" in pattern and len(alike) > 1:
         alike.sort(key=lambda one: list(draft.fields).index(one.field))
-        draft.let["sides_w"] = " + ".join(draft.ref(one.field, f"side_{i}") for i, one in enumerate(alike, 1))
-        total = np.sum([draft.values(one.field) for one in alike], axis=0)
-        draft.fields["sides_w"] = Field("sides_w", len(total), total)
+        total = draft.total("sides_w", "side", [one.field for one in alike])
         why = f"the sum of {', '.join(one.field for one in alike)}; what the battery feeds beside them is not in it"
-        return [replace(first, field="sides_w", sure="a guess", score=1.0, why=why), *power]
+        return [replace(first, field=total, sure="a guess", score=1.0, why=why), *power]
     others = [one.field for one in power[1:] if one.score >= _BY_GLOSSARY]
     if first.score >= _BY_GLOSSARY and others:
         why = f"{first.why}; there are others: {', '.join(others)}"

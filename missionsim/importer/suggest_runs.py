@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
-from missionsim.importer.roles import Field, fields_of, guess_all, words_of
+from missionsim.importer.roles import ROLES, Field, fields_of, guess_all, guess_role, words_of
 from missionsim.importer.run_table import keys_of, names_of_file, rows_called
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_motion import quoted
 from missionsim.labels import Labels
-from missionsim.logs.clean import turns
+from missionsim.logs.clean import in_turn
 from missionsim.logs.readers import source_suffixes
 from missionsim.logs.times import is_stamp
 from missionsim.physics import Array
@@ -30,7 +30,8 @@ _RUN = re.compile(r"\b((test ?)?run|trip|session|experiment|config\w*|trial|fahr
 
 
 _VEHICLE = re.compile(
-    r"(vehicle|robot|agv|amr|rover|truck|device|roboter|fahrzeug|vehicule|vehiculo)s?( (id|name|nr|no|num|number))?"
+    r"(vehicle|robot|agv|amr|rover|truck|device|roboter|fahrzeug|vehicule|vehiculo|bot|serial|host|mac|ip)s?"
+    r"( ?(id|name|nr|no|num|number|address|addr))?"
 )
 _CLASHES, _MOST, _ROWS = 0.1, 50, 10
 """Part of the rows with the time of another one from which they are of several recordings; most of these, and rows that
@@ -38,10 +39,11 @@ each has at least (assumed)."""
 
 
 def recognised_runs(
-    fields: Mapping[str, Field], time_s: Array | None, times: set[str], turning: Sequence[str] = ()
+    fields: Mapping[str, Field], time_s: Array | None, times: set[str], turning: Mapping[str, str]
 ) -> dict[str, str]:
     """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
-    `turning`: fields that jump back and forth together. Gives ``runs`` → its value as YAML; empty for one run."""
+    `turning`: column → field, of those that jump back and forth. Gives ``runs`` → its value as YAML; empty for one run.
+    """
     if time_s is None or len(time_s) < 4:
         return {}
     if (apart := _in_turn(fields, time_s, times, turning)) is not None:
@@ -111,7 +113,7 @@ def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path
         fitting: list[tuple[bool, Field, list[list[int]]]] = []
         for one in fields:
             keys = keys_of(one.values)
-            if len(keys) < 2 or len(set(keys)) < len(keys) or len(fields) < 2:
+            if len(keys) < 2 or len(set(keys)) < len(keys) or len(fields) < 2 or guess_role(one, ROLES["time"]):
                 continue
             found = [rows_called(keys, log) for log in logs]
             called = words_of(one.name)[0]
@@ -178,7 +180,7 @@ def _counts(one: Field) -> Array | NDArray[np.int64] | None:
     return one.values if np.isfinite(one.values).all() and (one.values == np.round(one.values)).all() else None
 
 
-def _in_turn(fields: Mapping[str, Field], time_s: Array, times: set[str], turning: Sequence[str]) -> str | None:
+def _in_turn(fields: Mapping[str, Field], time_s: Array, times: set[str], turning: Mapping[str, str]) -> str | None:
     """The column that tells recordings apart whose rows stand in one table in any order: one that is called so, or
     without which rows have the times of others, or values jump back and forth. What tells apart messages that fill
     their own columns is none.
@@ -187,13 +189,14 @@ def _in_turn(fields: Mapping[str, Field], time_s: Array, times: set[str], turnin
     for name, one in fields.items():
         values = _counts(one)
         called = _VEHICLE.fullmatch(words_of(name)[0]) is not None
-        if name in times or values is None or not (called or clashes or turning):
+        if name in (*times, *turning.values()) or values is None or not (called or clashes or turning):
             continue
         _, group, count = np.unique(values, return_inverse=True, return_counts=True)
         if not 2 <= len(count) <= _MOST or count.min() < _ROWS:
             continue
         order = np.argsort(group, kind="stable")
-        if not (called or clashes) and any(turns(np.asarray(fields[one].values)[order]) for one in turning):
+        parted = {column: np.asarray(fields[field].values)[order] for column, field in turning.items()}
+        if not (called or clashes) and in_turn({"time_s": time_s[order]} | parted):
             continue  # it does not tell them apart
         step = np.diff(time_s[order])[np.diff(group[order]) == 0]
         numbers = [np.isfinite(other.values) for other in fields.values() if not isinstance(other.values, Labels)]

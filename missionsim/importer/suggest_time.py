@@ -78,7 +78,7 @@ def suggest_time(draft: Draft, path: Path) -> None:
         draft.missing.append(str(error.faults[0].message))
         draft.columns.setdefault("time_s", ("TIME", guess))
         return
-    draft.time_s = stamps.seconds
+    draft.time_s, draft.clock = stamps.seconds, stamps.kind
     if formula and stamps.kind == "own" and _is_clock(stamps.seconds):
         hours, minutes, seconds = f"{formula} // 10000", f"{formula} // 100 % 100", f"{formula} % 100"
         draft.time_s = stamps.seconds // 10000 * 3600 + stamps.seconds // 100 % 100 * 60 + stamps.seconds % 100

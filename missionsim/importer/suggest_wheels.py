@@ -38,33 +38,35 @@ def path_of(draft: Draft) -> tuple[tuple[Guess, Guess], Array] | None:
     return (x[0], y[0]), np.interp(time_s, t[::rows], np.r_[0.0, np.cumsum(steps)])
 
 
-_TURNS = r"\b(wheel|encoder|axis ?\d*|motor|feedback|drive)\b.*\b(vel\w*|speed|rpm)\b"
+_TURNS = r"\b(wheel|encoder|axis|motor|feedback|drive) ?\d*\b(.*\b(vel\w*|speed|rpm)\b)?"
 """What a wheel, or the motor that drives it, is called whose pace is measured."""
 
 
 def numbered_wheels(draft: Draft) -> list[Guess]:
-    """The pace of two wheels whose names differ in a number alone; nothing where there are no two."""
+    """The pace of wheels whose names differ in a number alone: of 2, 4 or 6; else nothing."""
     groups: dict[str, list[Guess]] = {}
     for name, one in draft.fields.items():
         words, unit = words_of(name)
-        if folded(one) is not None or not re.search(_TURNS, words) or re.search(ROLES["left"].avoid, words):
+        if folded(one) is not None or not (found := re.search(_TURNS, words)) or re.search(ROLES["left"].avoid, words):
             continue
         unit = unit or "rpm" * bool(re.search(r"\brpm\b", words))
-        if unit in ("", "rpm", "rad/s", "deg/s") and re.search(r"\d", name):
+        if unit in ("rpm", "rad/s", "deg/s", "" if found[2] else None) and re.search(r"\d", name):
             groups.setdefault(re.sub(r"\d+", "#", name), []).append(Guess("speed", name, unit, 0.9, words, "likely"))
-    return next((pair for pair in groups.values() if len(pair) == 2), [])
+    return next((wheels for wheels in groups.values() if len(wheels) in (2, 4, 6)), [])
 
 
 def from_wheels(draft: Draft, *wheels: Guess) -> None:
-    """The speed by that of both wheels, or of one, and their radius."""
-    refs = [draft.ref(one.field, f"wheel_{side}") for one, side in zip(wheels, ("left", "right"), strict=False)]
+    """The speed by that of all wheels, or of one, and their radius."""
+    sides = ("left", "right") if len(wheels) == 2 else range(len(wheels))
+    refs = [draft.ref(one.field, f"wheel_{side}") for one, side in zip(wheels, sides, strict=True)]
     turns = [draft.values(one.field, one.unit) for one in wheels]
     signs = [-1.0 if len(turn) == len(turns[0]) and float(np.nansum(turn * turns[0])) < 0.0 else 1.0 for turn in turns]
     mean = np.sum([sign * turn for sign, turn in zip(signs, turns, strict=True)], axis=0) / len(wheels)
-    told = "the mean of both wheels" if len(wheels) > 1 else "the wheel"
+    told = f"the mean of {'both' if len(wheels) == 2 else len(wheels)} wheels" if len(wheels) > 1 else "the wheel"
     unit = wheels[0].unit if len({one.unit for one in wheels}) == 1 else ""
     factor = size_of(unit) / len(wheels)
-    formula = f"({(' - ' if signs[-1] < 0.0 else ' + ').join(refs)})" if len(refs) > 1 else refs[0]
+    more = "".join(f" {'-' if sign < 0.0 else '+'} {ref}" for sign, ref in zip(signs[1:], refs[1:], strict=True))
+    formula = f"({refs[0]}{more})" if more else refs[0]
     if factor != 1.0:
         formula += f" * {factor:.10g}" if unit else f" / {len(wheels)}"
     guess = replace(wheels[0], role="speed", unit="", sure="likely")

@@ -248,7 +248,7 @@ def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np
             )
 
 
-def turns(data: Array) -> bool:
+def _turns(data: Array) -> bool:
     """Whether a column, shape (n,), jumps back and forth: what it changes by from row to row is far more than to the
     next row but some."""
     data = data[np.isfinite(data)]
@@ -258,19 +258,41 @@ def turns(data: Array) -> bool:
     return min(far) > 0.0 and near > _APART * min(far)
 
 
+_LEAPS, _LEAP_M_WH, _LEAP, _FASTEST_M_S = 3, 2.0, 0.1, 5.0
+"""Jumps in which a place or a counter leaps at least, how far, by what part of its range, and beyond which way that a
+robot drives in that time (all assumed)."""
+
+
+def _leaps(data: Array, time_s: Array, place: bool) -> bool:
+    """Whether what cannot jump, a place [m] or a counter [Wh], of shape (n,), does so time and again, and each second
+    time to where it was before: rows of two recordings, of each a few at a time. A place of nought is one that was
+    lost."""
+    known = np.isfinite(data) & np.isfinite(time_s) & ~(place & (data == 0.0))
+    data, way = data[known], _FASTEST_M_S * place * np.abs(np.diff(time_s[known]))
+    if len(data) < _COARSE:
+        return False
+    at = np.flatnonzero(np.abs(np.diff(data)) > np.maximum(_LEAP_M_WH + way, _LEAP * float(np.ptp(data))))
+    if len(at) < _LEAPS or float(np.median(np.diff(at))) < _APART:
+        return False
+    return float(np.median(np.abs(data[at[1:] + 1] - data[at[:-1]]))) < 0.5 * float(np.abs(np.diff(data)[at]).min())
+
+
 def in_turn(columns: Mapping[str, ColumnData]) -> list[str]:
-    """The columns of the glossary that jump back and forth together, as where rows of several recordings stand in turn:
-    two or more, and not only electric ones, which a load that is switched moves."""
-    known = (name for name, data in columns.items() if not isinstance(data, Labels) and column_of(name))
-    apart = [name for name in known if name != "time_s" and turns(np.asarray(columns[name]))]
-    return apart if len(apart) > 1 and not all(name.startswith(ELECTRIC) for name in apart) else []
+    """The columns of the glossary that jump back and forth, as where rows of several recordings stand in turn: two or
+    more from row to row, and not only electric ones, which a load that is switched moves; or a place or counter."""
+    known = {name: data for name, data in columns.items() if not isinstance(data, Labels) and column_of(name)}
+    apart = [name for name, data in known.items() if name != "time_s" and _turns(data)]
+    if len(apart) > 1 and not all(name.startswith(ELECTRIC) for name in apart):
+        return apart
+    cannot = {"x_m": True, "y_m": True} | {name: False for name in known if name.startswith("energy_")}
+    return [name for name, place in cannot.items() if name in known and _leaps(known[name], known["time_s"], place)]
 
 
 def refuse_turns(columns: Mapping[str, ColumnData], file: str, line: int) -> None:
     """Raise InputError where rows of several recordings stand in turn, each with times of its own. `line`: that of the
     first row."""
     if apart := in_turn(columns):
-        told = f"rows of several recordings in turn: {' and '.join(apart)} jump back and forth from row to row"
+        told = f"rows of several recordings in turn: {' and '.join(apart)} jump back and forth"
         raise InputError(Fault(file, line, 0, told, apart[0], allowed="one recording a file", hint=_APART_HINT))
 
 

@@ -19,7 +19,7 @@ from missionsim.logs import suspect
 from missionsim.logs.clean import ELECTRIC, Rows, count_on, fill_missing, order_time
 from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
-from missionsim.logs.readers import Options, is_recording, log_suffixes, not_there, table_reader
+from missionsim.logs.readers import Options, is_recording, log_suffixes, not_there, run_of, table_reader
 from missionsim.logs.refresh import of_one_meter
 from missionsim.logs.times import TimeAxis
 from missionsim.numerals import counted
@@ -56,7 +56,7 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
     raw = read_raw(path)
     axis = TimeAxis()
     axis.apply(raw)
-    return replace(make_log(raw, Path(path).stem, robot=robot), begin_s=axis.begin_s)
+    return replace(make_log(raw, run_of(Path(path)), robot=robot), begin_s=axis.begin_s)
 
 
 def read_logs(
@@ -91,7 +91,7 @@ def read_logs(
     if left_out is not None:
         for file, (first, *more) in grouped(faults, lambda fault: fault.file).items():
             told = f" (line {first.line})" * bool(first.line) + f", and {len(more)} faults more" * bool(more)
-            left_out.append(f"{Path(file).stem}: {first.message}{told}")
+            left_out.append(f"{run_of(Path(file))}: {first.message}{told}")
     logs = meters_alike(logs)
     names = [log.run for log in logs]
     return [

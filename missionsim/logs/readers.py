@@ -7,16 +7,19 @@ group ``missionsim.readers``. Formats of one table (CSV, Parquet) can be logs as
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import functools
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.labels import Labels
 from missionsim.logs.codes import without
-from missionsim.logs.raw import ColumnData, RawTable, Remark, codes_told, tallies_of
+from missionsim.logs.raw import ColumnData, RawTable, Remark, codes_told, damaged, tallies_of
 from missionsim.physics import Array
 
 ENTRY_POINTS = "missionsim.readers"
@@ -59,6 +62,11 @@ class Topic:
     count: int = 0
     """Messages in the file, where only the first were read."""
 
+    @property
+    def undefined(self) -> bool:
+        """Whether the file does not define the type of the messages."""
+        return not self.columns and not len(self.time_s)
+
 
 @dataclass
 class Recording:
@@ -68,6 +76,9 @@ class Recording:
     remarks: list[Remark] = field(default_factory=list)
     start_s: float = 0.0
     """What the times of its topics count from: a float since 1970 holds no nanoseconds."""
+
+
+_Read = TypeVar("_Read", RawTable, Recording)
 
 
 @dataclass(frozen=True)
@@ -169,6 +180,8 @@ def reader_of(path: Path) -> Reader:
         raise InputError(not_there(path)) from None
     except OSError as error:
         raise InputError(Fault(str(path), 0, 0, f"the file cannot be opened: {error.strerror}")) from None
+    if (packed := _of_packed(path, head)) is not None:
+        return packed
     suffix = path.suffix.lower()
     named = None
     for reader in registry().values():
@@ -181,6 +194,79 @@ def reader_of(path: Path) -> Reader:
         allowed = f"a whole {named.title}; a table needs another suffix"
         raise InputError.single(told, file=str(path), got="" if head else "an empty file", allowed=allowed)
     return named or registry()["csv"]
+
+
+_PACKED = {b"\x1f\x8b": "gzip", b"BZh": "bz2", b"\xfd7zXZ": "lzma", b"PK\x03\x04": "zipfile"}
+"""First bytes of packed files, and the module that unpacks them."""
+
+
+def unpacked_name(name: str) -> str:
+    """The name or path of a file without the suffix of a packer: `run1.csv` of `run1.csv.gz`."""
+    return re.sub(r"(?i)\.(gz|bz2|xz)\Z", "", name)
+
+
+def run_of(path: Path) -> str:
+    """The name of the run in a file: that of the file without suffixes."""
+    return Path(unpacked_name(path.name)).stem
+
+
+def _of_packed(path: Path, head: bytes) -> Reader | None:
+    """The reader of the one file that a packed one holds; None where a file is not packed, or holds another number."""
+    module = next((name for begin, name in _PACKED.items() if head.startswith(begin)), "")
+    found = _unpacked(path, module, path.stat().st_mtime_ns) if module else None
+    if found is None:
+        return None
+    inner, whole = found
+    reader = reader_of(inner)
+
+    def of_inner(use: Callable[[Path, Options], _Read]) -> Callable[[Path, Options], _Read]:
+        def read(_path: Path, options: Options) -> _Read:
+            try:
+                found = use(inner, options)
+            except InputError as error:
+                faults = [replace(f, file=str(path)) if f.file == str(inner) else f for f in error.faults]
+                raise InputError(faults) from None
+            if isinstance(found, RawTable):
+                found.file = str(path)
+            if not whole:
+                found.remarks.append(damaged("the packed file is cut short"))
+            return found
+
+        return read
+
+    table, recording = reader.table and of_inner(reader.table), reader.recording and of_inner(reader.recording)
+    return replace(reader, name=f"{reader.name}, packed", table=table, recording=recording, blocks=None)
+
+
+@functools.cache
+def _unpacked(path: Path, module: str, _changed: int) -> tuple[Path, bool] | None:
+    """A file of this process with what a packed one holds, and whether that is whole; None where that is not one
+    file, or nothing of it can be read."""
+    from importlib import import_module
+    from shutil import rmtree
+    from tempfile import mkdtemp
+
+    name, read = path.stem, 0
+    try:
+        if module == "zipfile":
+            archive = import_module(module).ZipFile(path)
+            members = [one for one in archive.infolist() if not one.is_dir() and "__MACOSX" not in one.filename]
+            if len(members) != 1 or Path(members[0].filename).suffix.lower() not in source_suffixes():
+                return None
+            name, packed = Path(members[0].filename).name, archive.open(members[0])
+        else:
+            packed = import_module(module).open(path)
+    except Exception:
+        return None
+    folder = Path(mkdtemp())
+    atexit.register(rmtree, folder, ignore_errors=True)
+    with packed, open(folder / name, "wb") as file, contextlib.suppress(Exception):
+        while part := packed.read1(1 << 20):
+            if not read and part[257:262] == b"ustar":  # a tar, of any number of files
+                return None
+            read += file.write(part)
+        return folder / name, True
+    return (folder / name, False) if read else None
 
 
 def not_there(path: Path) -> Fault:

@@ -207,7 +207,7 @@ def close_jumps(
     longest = float(step[jumps].max())
     message = f"time jumps {len(jumps)} times, by up to {longest:.4g} s after {time_s[jumps[0]]:.6g} s"
     why = "the clock was set or the logger was off" if long.any() else "rows of another run lie between"
-    action = f"parted there: {why}, and no time is counted between the parts"
+    action = f"parted there: {why}, and {left:.3g} s are counted in place of each"
     remarks.append(Remark("gap", "time_s", message, action, "warning", 0, len(jumps)))
     return np.asarray(time_s - np.cumsum(shift))
 

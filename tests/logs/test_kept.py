@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import json
+import lzma
 import sqlite3
+import tarfile
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +21,11 @@ import pytest
 from scipy.io import savemat
 
 from missionsim.cli.app import run_command as main
+from missionsim.errors import InputError
 from missionsim.importer.sources import find_files
 from missionsim.logs import LogTable, read_log
-from missionsim.logs.readers import reader_of
+from missionsim.logs.formats.arrays import read_numpy
+from missionsim.logs.readers import Options, reader_of
 from tests.logs import loggers
 
 T = np.arange(0.0, loggers.LENGTH_S, 0.1).round(1)
@@ -147,3 +154,67 @@ def test_a_folder_of_kept_files_is_read(tmp_path: Path) -> None:
     (tmp_path / "text.mat").write_text("t,power\n0,1\n1,2\n")  # MATLAB calls its texts so too
     assert [path.name for path in find_files([tmp_path])] == [*names, "text.mat"]
     assert [reader_of(tmp_path / name).name for name in (*names, "text.mat")] == ["feather", "matlab", "numpy", "csv"]
+
+
+def zipped(path: Path, content: bytes) -> None:
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("runs/log.csv", content)
+
+
+PACKERS: dict[str, Callable[[Path, bytes], object]] = {
+    "a.csv.gz": lambda path, content: path.write_bytes(gzip.compress(content)),
+    "cut.csv.gz": lambda path, content: path.write_bytes(gzip.compress(content)[:-300]),
+    "a.csv.bz2": lambda path, content: path.write_bytes(bz2.compress(content)),
+    "a.csv.xz": lambda path, content: path.write_bytes(lzma.compress(content)),
+    "a.zip": zipped,
+}
+
+
+@pytest.mark.parametrize("name", PACKERS)
+def test_a_packed_file_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    lines = "".join(f"{t},{w:.4f},{v:.4f}\n" for t, w, v in zip(T, W, V, strict=True))
+    PACKERS[name](tmp_path / name, b"time_s,power_robot_w,speed_m_s\n" + lines.encode())
+    log = read_log(tmp_path / name)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.1 if "cut" in name else 0.01)
+    assert (log.source, log.run) == (str(tmp_path / name), name.partition(".")[0])
+    assert [r.severity for r in log.remarks if r.kind == "damaged"] == ["error"] * ("cut" in name)
+    PACKERS[name](tmp_path / name, b"time_s,power_robot_w\n1,2\nx,3\n")
+    assert main(["validate", str(tmp_path / name)]) == 2
+    assert name in capsys.readouterr().err
+
+
+def test_a_packed_archive_is_not_one_table(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,power\n0,1\n1,2\n")
+    with tarfile.open(tmp_path / "a.tar.gz", "w:gz") as archive:
+        archive.add(tmp_path / "log.csv")
+    with pytest.raises(InputError, match="packed"):
+        read_log(tmp_path / "a.tar.gz")
+
+
+def test_what_is_no_vector_is_told(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **PLAIN, spectrum=V * 1j, image=np.zeros((len(T), 2, 2)))  # type: ignore[arg-type]
+    told = [remark.message for remark in read_numpy(tmp_path / "a.npz", Options()).remarks]
+    assert told == [f"spectrum, image: no vector of {len(T)} numbers or texts as the others are"]
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_few_values_of_a_time_are_rows(tmp_path: Path, inside: bool) -> None:
+    columns = {"t": [0, 1, 2, 3], "power": [5, 6, 7, 8]}
+    (tmp_path / "a.json").write_text(json.dumps({"robot": "x", "data": columns} if inside else columns))
+    reader = reader_of(tmp_path / "a.json")
+    assert reader.recording is not None
+    (topic,) = reader.recording(tmp_path / "a.json", Options()).topics
+    assert topic.time_s.tolist() == [0, 1, 2, 3]
+
+
+def test_a_long_file_of_lines_is_not_read_to_tell_its_shape(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text("".join(json.dumps(one) + "\n" for one in ROWS) + "\n" * 100)
+    with open(path, "ab") as file:
+        file.truncate(1 << 28)  # noughts, which would be as many letters
+    tracemalloc.start()
+    reader = reader_of(path)
+    assert reader.recording is not None
+    reader.recording(path, Options(most=2))
+    assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    tracemalloc.stop()

@@ -119,3 +119,18 @@ def test_names_that_are_numbers_stay_apart(tmp_path: Path, capsys: pytest.Captur
         assert read_log(out).number("power_robot_w").min() >= 40
     else:
         assert "no row with a time" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", ["kW", ""])
+def test_a_unit_that_changes_within_a_signal(tmp_path: Path, other: str) -> None:
+    """A part of the rows in kW, or without the unit: all are one signal, in the unit that came first."""
+    path, made, out = tmp_path / "run1.csv", tmp_path / "made.yaml", tmp_path / "out.parquet"
+    told = [
+        (t, "power", w / 1000 if other and t > 30 else w, other if t > 30 else "W")
+        for t, w in zip(T, WATTS, strict=True)
+    ]
+    told += [(t, "speed", v, "m/s") for t, v in zip(T, SPEED, strict=True)]
+    path.write_text("time,signal,value,unit\n" + "".join(f"{t},{n},{v:.6g},{u}\n" for t, n, v, u in told))
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0
+    assert main(["import", str(path), "--map", str(made), "--out", str(out), "--quiet"]) == 0
+    assert read_log(out).energy_wh("robot") == pytest.approx(WH, rel=0.01)

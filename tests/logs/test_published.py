@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -162,6 +163,33 @@ def test_a_constant_power_comes_last_and_cells_are_summed_with_a_question(tmp_pa
     log, found = imported(tmp_path, table() | cells | {"Pack current (A)": POWER / pack})
     assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=1e-3)
     assert any("cells" in told for told in found.missing)
+
+
+@pytest.mark.parametrize("name", ["cell_{}_v", "cell{}_voltage_mv", "vcell{}", "cells[{}]", "cells"])
+def test_no_cell_is_taken_for_the_battery(tmp_path: Path, name: str) -> None:
+    """Names of cells that stand close to their numbers, in a table and in messages."""
+    amps = POWER / (7 * 3.7)
+    cells = {name.format(i): np.full(1200, 3700.0 if name.endswith("mv") else 3.7) for i in range(1, 8)}
+    path = write_csv(tmp_path / "a.csv", table() | cells | {"current_a": amps})
+    if name == "cells":
+        path = tmp_path / "a.jsonl"
+        rows = zip(TIME_S, amps, strict=True)
+        path.write_text("".join(json.dumps({"t": t, name: [3.7] * 7, "current": i}) + "\n" for t, i in rows))
+    found = suggest_map([path])
+    assert any("7 voltages of cells were added up" in told for told in found.missing)
+    (tmp_path / "map.yaml").write_text(found.text)
+    (log,) = import_source(path, load_map(tmp_path / "map.yaml"))
+    assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
+
+
+@pytest.mark.parametrize("names", ["motor{}_speed_rpm", "wheel_{}_rpm"])
+def test_wheels_that_are_numbered_are_all_taken(tmp_path: Path, names: str) -> None:
+    count = 4 if "wheel" in names else 2
+    turns = {names.format(i): SPEED / 0.1 / 0.10472 * (-1) ** i for i in range(count)}
+    found = suggest_map([write_csv(tmp_path / "a.csv", {"t": TIME_S, "power_w": POWER} | turns)])
+    (tmp_path / "map.yaml").write_text(found.text.replace("RADIUS", "-0.1"))
+    (log,) = import_source(tmp_path / "a.csv", load_map(tmp_path / "map.yaml"))
+    assert np.abs(log.number("speed_m_s")).max() == pytest.approx(SPEED.max(), rel=1e-3)
 
 
 START = datetime(2024, 11, 23, 13, 10, 40)

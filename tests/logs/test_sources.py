@@ -14,6 +14,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.errors import InputError
 from missionsim.importer.mapping import import_source
+from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, iter_blocks, read_log, read_logs, readers
 from missionsim.logs.raw import RawTable
@@ -207,8 +208,12 @@ def test_files_that_do_not_belong_together(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"m\.yaml:4:\d+: error: the column of its time is missing"):
         run(tmp_path, text.replace("odometry.csv, time: stamp", "odometry.csv"), *files)
     files[1].write_text("stamp,v_x [m/s]\n" + "".join(f"{i},0.5\n" for i in range(100)))
-    with pytest.raises(InputError, match="no clock in common"):
+    with pytest.raises(InputError, match="no clock in common") as told:
         run(tmp_path, text, *files)
+    hint = re.search(r"`(lag: \S+ s)` for odometry", told.value.faults[0].hint)
+    assert hint is not None
+    assert run(tmp_path, text.replace("time: stamp", f"time: stamp, {hint[1]}"), *files)[0].rows > 90
+    assert any("no clock in common" in one for one in suggest_map(files).missing)
 
 
 # one bad file

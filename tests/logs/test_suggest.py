@@ -241,8 +241,38 @@ def test_rows_of_two_robots_in_turn(tmp_path: Path, name: str) -> None:
         assert [round(float(log.power_w["robot"].mean()) / 10) for log in logs] == [1, 3]
         return
     assert list(made.missing) == ["rows of several recordings in turn, and no column tells them apart: part the file"]
-    with pytest.raises(InputError, match="power_robot_w and speed_m_s jump back and forth from row to row"):
+    with pytest.raises(InputError, match="power_robot_w and speed_m_s jump back and forth"):
         import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))
+
+
+@pytest.mark.parametrize("name", ["mac", ""])
+def test_rows_of_two_robots_in_bursts(tmp_path: Path, name: str) -> None:
+    """Ten rows of one, ten of the other, at other places: energy and motion of both had been those of one."""
+    rows = [[*one[:3], str(9.0 * (i // 10 % 2) + 0.003 * i), *(["ab"[i // 10 % 2]] if name else [])]
+            for i, one in enumerate(two_recordings()[0])]  # fmt: skip
+    header = ["time_s", "power_w", "speed_m_s", "x_m", *([name] if name else [])]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
+    made = suggest_map([tmp_path / "log.csv"])
+    (tmp_path / "map.yaml").write_text(made.text)
+    assert len(made.missing) == (not name)
+    if name:
+        assert len(import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))) == 2
+    else:
+        with pytest.raises(InputError, match="rows of several recordings in turn: x_m jump back and forth"):
+            import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))
+
+
+@pytest.mark.parametrize("how", ["stations", "lost"])
+def test_places_that_one_robot_may_have(tmp_path: Path, how: str) -> None:
+    """Rows 30 s apart while it goes between two stations; a localisation that is lost at times."""
+    far = [20.0 * (i // 6 % 2) if how == "stations" else 0.0 if i % 60 > 50 else 30.0 + 0.01 * i for i in range(300)]
+    step = 30 if how == "stations" else 0.1
+    rows = [f"{step * i:.1f},{7 + i % 5},{x:g}\n" for i, x in enumerate(far)]
+    (tmp_path / "log.csv").write_text("time_s,power_w,x_m\n" + "".join(rows))
+    made = suggest_map([tmp_path / "log.csv"])
+    (tmp_path / "map.yaml").write_text(made.text)
+    assert not made.missing
+    assert len(import_source(tmp_path / "log.csv", load_map(tmp_path / "map.yaml"))) == 1
 
 
 def test_a_load_that_is_switched_is_no_second_robot(tmp_path: Path) -> None:

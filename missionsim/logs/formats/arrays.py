@@ -72,6 +72,8 @@ def _vectors(values: Mapping[str, object], path: str) -> Iterator[tuple[str, Col
             yield path + name, array.astype(np.float64)
         elif array.ndim == 1 and all(isinstance(text, str) for text in array.tolist()):
             yield path + name, Labels.of(array.tolist())
+        else:
+            yield path + name, np.empty(0)  # told as one of another length
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
@@ -87,13 +89,13 @@ def _plain(array: NDArray[Any]) -> NDArray[Any]:
 
 def _table(path: Path, vectors: Mapping[str, ColumnData], options: Options, allowed: str) -> RawTable:
     """The vectors of the length that most have."""
-    lengths = collections.Counter(len(one) for one in vectors.values())
+    lengths = collections.Counter(len(one) for one in vectors.values() if len(one))
     if not lengths:
         raise InputError.single("there are no vectors in it", file=str(path), allowed=allowed)
     rows = max(lengths, key=lambda length: (lengths[length], length))
     raw = RawTable(str(path), {name: one for name, one in vectors.items() if len(one) == rows})
     if others := [name for name in vectors if name not in raw.columns]:
-        told = f"{', '.join(others[:5])} are not of {rows} values as the others are"
+        told = f"{', '.join(others[:5])}: no vector of {rows} numbers or texts as the others are"
         raw.remarks.append(Remark("format", "", told, "they were left out", "warning", 0, len(others)))
     return _finished(raw, options)
 

@@ -354,7 +354,9 @@ def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) ->
         yield from _judged_whole(blocks)
 
 
+_LOOSE = (".txt", ".dat", ".log", ".gz", ".bz2", ".xz")
+
 READERS = (
-    Reader("csv", "text table", (".csv", ".tsv"), table=read_csv, blocks=iter_csv, loose=(".txt", ".dat", ".log")),
+    Reader("csv", "text table", (".csv", ".tsv"), table=read_csv, blocks=iter_csv, loose=_LOOSE),
     Reader("parquet", "Parquet file", (".parquet",), (b"PAR1",), table=read_parquet, blocks=iter_parquet),
 )

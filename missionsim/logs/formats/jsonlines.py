@@ -32,7 +32,7 @@ _EPOCH = re.compile(r"\d{9,19}(\.\d+)?\Z")
 _MOST_ELEMENTS = 16
 _MOST_FAULTS = 20
 _LEAST_ROWS = 20
-"""Values from which on a list in a lone object is a column."""
+"""Values from which on a list in a lone object is a column, where none is called a time."""
 _WHOLE_AND_FINE = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"))
 
 
@@ -79,8 +79,7 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
     """Objects of a file: one a line, or what one value holds: a list of them, alone or in an object, or columns."""
     with open(path, encoding="utf-8-sig", errors="replace") as handle:
         opening = handle.readline().strip()
-        handle.seek(0)
-        if opening[:1] == "[" or opening == "{" or (opening[:1] == "{" and not handle.read().count("\n{")):
+        if opening[:1] == "[" or opening == "{" or (opening[:1] == "{" and not any(line[0] == "{" for line in handle)):
             handle.seek(0)
             try:
                 found = json.load(handle)
@@ -133,16 +132,22 @@ def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
     columns = {
         name: list(one.values()) if isinstance(one, dict) else one
         for name, one in found.items()
-        if (isinstance(one, list) and len(one) >= _LEAST_ROWS)
-        or (isinstance(one, dict) and len(one) >= _LEAST_ROWS and all(map(str.isdigit, one)))
+        if isinstance(one, list) or (isinstance(one, dict) and all(map(str.isdigit, one)))
     }
+    timed = any(name.lower() in _TIMES and len(one) > 1 for name, one in columns.items())
     length = max(map(len, columns.values()), default=0)
+    length = length if timed or length >= _LEAST_ROWS else 0
+    inner = [
+        one for one in found.values() if isinstance(one, dict) and any(isinstance(of, list) for of in one.values())
+    ]
     objects = max((one for one in lists if all(isinstance(item, dict) for item in one)), key=len, default=[])
     if len(objects) > length:
         yield from objects
     elif length:
         names = [name for name, one in columns.items() if len(one) == length]
         yield from (dict(zip(names, row, strict=True)) for row in zip(*(columns[name] for name in names), strict=True))
+    elif len(inner) == 1 and not any(name.lower() in _TIMES for name in found):
+        yield from _rows_in(inner[0])
     else:
         yield found
 
