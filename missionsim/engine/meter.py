@@ -153,7 +153,7 @@ class Meter:
             self._ahead = ahead, answer.part(count, count + 1)
             answer = answer.part(0, count)
         if count:
-            loads = self._loads(rows, answer)
+            loads = self.loads(rows, answer)
             states = {name: battery.after(self.state[name], loads[name]) for name, battery in self.batteries.items()}
             self.batches.append(Batch(*answer, loads, self.state, states))
             if self.model.lags:
@@ -191,7 +191,7 @@ class Meter:
         """Time from now until a battery's state comes to `level`, within what `settle` has looked ahead."""
         assert self._ahead is not None
         row, answer = self._ahead
-        loads = self._loads([row._replace(charging=self.recorder.charging)], answer)[battery]
+        loads = self.loads([row._replace(charging=self.recorder.charging)], answer)[battery]
         return self.batteries[battery].reach(self.state[battery], loads, 0, level, row.duration_s)
 
     def first_alarm(self, reserves: Mapping[str, float], excursions: Sequence[Sequence[float]] = ()) -> Alarm | None:
@@ -201,7 +201,7 @@ class Meter:
         found: list[Alarm] = []
         for name, battery in self.batteries.items():
             for batch in self.batches:
-                if here := _alarms(battery, batch, name, reserves.get(name), after):
+                if here := alarms_in(battery, batch, name, reserves.get(name), after):
                     found.append(min(here))
                     break
         return min(found, default=None)
@@ -230,7 +230,8 @@ class Meter:
         }
         return Timeline.joined(lines), energies, charge
 
-    def _loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
+    def loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
+        """What each battery has to deliver in some rows."""
         nothing, alone = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)
         charges = any(row.charging for row in rows)
         found = {}
@@ -251,7 +252,9 @@ class Meter:
         return found
 
 
-def _alarms(battery: Battery, batch: Batch, name: str, reserve: float | None, after_s: float) -> list[Alarm]:
+def alarms_in(
+    battery: Battery, batch: Batch, name: str, reserve: float | None = None, after_s: float = 0.0
+) -> list[Alarm]:
     """When a battery becomes empty in a batch, and when it comes to its reserve, no earlier than some time."""
     loads, states, line = batch.loads[name], batch.states[name], batch.line
     before = np.concatenate([[batch.before[name]], states[:-1]])

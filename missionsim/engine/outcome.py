@@ -126,8 +126,8 @@ class BatteryResult:
     reserve_required_wh: float
     """What the mission's policy (or the robot file) wants left at the end."""
     home_wh: float | None
-    """Energy from the mission's end to the dock by the shortest way at the same settings (Parasuraman 2012, Eq. 12);
-    None where the place or the way is not known."""
+    """What coming to the dock from the mission's end takes out of the battery by the shortest way at the same settings
+    (Parasuraman 2012, Eq. 12), with what is lost inside; None where the place or the way is not known."""
     empty_at_s: float | None
     empty_in_segment: str
     deficit_wh: float
@@ -215,8 +215,8 @@ class RunResult:
         return begun and not (kind == "dock" and end <= before)
 
     def home_energy(self) -> list[dict[str, float | None]]:
-        """Energy in Wh to come home from the end of each segment, by battery; None where no way is known. Computed when
-        asked for: a mission has as many ways home as segments."""
+        """What coming home from the end of each segment takes out of each battery [Wh]; None where no way is known.
+        Computed when asked for: a mission has as many ways home as segments."""
         return self.home() if self.home is not None else [{} for _ in self.segments]
 
     @property

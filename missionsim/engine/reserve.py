@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from missionsim.effects.model import PowerModel
-from missionsim.engine.meter import Asked, Evaluating
+from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.meter import Asked, Batch, Evaluating, alarms_in
 from missionsim.engine.recorder import Row
 from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Value
@@ -124,12 +126,12 @@ def _length(ways: Sequence[Way]) -> float:
 
 def home_energies(
     world: World, homing: Homing, model: PowerModel, values: Mapping[str, Value], only_last: bool = False
-) -> Evaluating[list[dict[str, float | None]]]:
-    """Energy in Wh to come home from the end of each segment, by battery.
+) -> Evaluating[tuple[list[dict[str, float | None]], set[str]]]:
+    """What coming home from the end of each segment takes out of each battery [Wh], with what it loses inside.
 
     `world`: after its execution. `values`: parameters that differ from the model's. `only_last`: only from where the
-    robot is at the end; the list then has one entry. Gives one entry a segment; values are None where no way home is
-    known.
+    robot is at the end; the list then has one entry. Gives one entry a segment, whose values are None where no way home
+    is known; and the batteries that are empty before the robot is home from the last end.
 
     The way is driven at once (nothing to wait for), with the components of the last leg that drove and what is always
     on; activities beside the mission are taken as over.
@@ -146,6 +148,12 @@ def home_energies(
     last_rows = {legs[row.leg].segment: i for i, row in enumerate(world.recorder.rows)}
     ways: dict[Any, list[Leg]] = {}
     keys: list[Any] = []
+    begins_s = [row.start_s for row in world.recorder.rows]
+    charges = {
+        name: np.concatenate([[battery.initial], *(batch.states[name] for batch in meter.batches)])
+        for name, battery in meter.batteries.items()
+    }
+    states: list[dict[str, float]] = []
     for segment in [legs[row.leg].segment for row in last_row] if only_last else range(len(world.segments)):
         end, ended = ends.get(segment, -1), segment in ends_s
         if only_last and not ended:
@@ -164,24 +172,41 @@ def home_energies(
             if key not in ways:
                 ways[key] = [_leg(driven, way) for way in home]
         keys.append(key)
-    batteries = model.batteries
-    energy = {name: np.zeros(len(ways)) for name in batteries}
+        closed = bisect_left(begins_s, ends_s.get(segment, math.inf))
+        states.append({name: float(charge[closed]) for name, charge in charges.items()})
+    energy = {name: np.zeros(len(ways)) for name in meter.batteries}
     asked, owner = _rows(world, homing, ways, values)
     if lags and owner:
         first = np.diff(owner, prepend=-1) > 0
         begins = np.array([key[-2] or [SETTLED] * len(lags) for key in ways])[owner]
         begin = {name: np.where(first, begins[:, i], GOES_ON) for i, name in enumerate(lags)}
         asked = asked._replace(lags=begin)
-    if asked.rows:
-        answer = yield asked
+    answer = (yield asked) if asked.rows else None
+    if answer is not None:
         for name, terms in answer.energies.items():
             for joules in terms.values():
                 energy[name] += np.bincount(owner, weights=joules, minlength=len(ways))
     number = {key: i for i, key in enumerate(ways)}
     result: list[dict[str, float | None]] = [
-        {name: None if key is None else float(energy[name][number[key]]) / 3600.0 for name in batteries} for key in keys
+        {name: None if key is None else float(energy[name][number[key]]) / 3600.0 for name in energy} for key in keys
     ]
-    return result or [dict.fromkeys(batteries)]
+    inner = [name for name, battery in meter.batteries.items() if not isinstance(battery, ConstantEnergy)]
+    empty: set[str] = set()
+    for entry, key, state in zip(result, keys, states, strict=True):
+        last = entry is result[-1]
+        low, high = (0, 0) if key is None else (bisect_left(owner, number[key] + i) for i in (0, 1))
+        if answer is None or low == high or not (inner or last):
+            continue
+        part = answer.part(low, high)
+        loads = meter.loads(asked.rows[low:high], part)
+        after = {name: meter.batteries[name].after(state[name], loads[name]) for name in (loads if last else inner)}
+        for name in inner:
+            out = meter.batteries[name].charge_j(np.array([state[name], after[name][-1]]))
+            entry[name] = float(out[0] - out[1]) / 3600.0
+        if last:
+            batch = Batch(*part, loads, state, after)
+            empty = {name for name, battery in meter.batteries.items() if alarms_in(battery, batch, name)}
+    return result or [dict.fromkeys(energy)], empty
 
 
 def _rows(

@@ -238,10 +238,12 @@ class RunSetup:
         line, energies, charge = world.meter.table()
         duration = float(world.env.now)
         home: dict[str, float | None] = dict.fromkeys(self.batteries)
+        stranded: set[str] = set()
         driven: Callable[[], list[DrivenEdge]] | None = None
         if (site := self.mission.environment) is not None:
             driven = cache(lambda: edges_driven(site, world.recorder.rows, world.legs, line, energies, charge))
-            home = (yield from home_energies(world, self.homing, self.model, self.drawn, only_last=True))[-1]
+            homes, stranded = yield from home_energies(world, self.homing, self.model, self.drawn, only_last=True)
+            home = homes[-1]
         results = {}
         reasons = [world.reason] if world.reason else []
         for name in self.batteries:
@@ -249,7 +251,7 @@ class RunSetup:
             if made.empty_at_s is None and world.completed:
                 if made.charge_left_wh < made.reserve_required_wh - CHARGE_TOLERANCE * made.capacity_wh:
                     reasons.append(f"battery '{name}' ends below its reserve")
-                elif made.reserve_wh < -CHARGE_TOLERANCE * made.capacity_wh:
+                elif name in stranded:
                     reasons.append(f"battery '{name}' cannot bring the robot home")
         mission, segments = self.mission, tuple(world.segments)
         warnings: tuple[Fault, ...] = ()
@@ -274,7 +276,7 @@ class RunSetup:
             segments=segments,
             segment_end_s=world.ends_s,
             batteries=results,
-            home=lambda: alone(self.model, self.names, home_energies(world, self.homing, self.model, self.drawn)),
+            home=lambda: alone(self.model, self.names, home_energies(world, self.homing, self.model, self.drawn))[0],
             warnings=warnings,
             never_on=off,
             segments_driven=world.begun,

@@ -305,6 +305,25 @@ def test_a_mission_that_ends_where_home_is_out_of_reach_is_not_feasible() -> Non
     assert "cannot bring the robot home" in result.reason
 
 
+@pytest.mark.parametrize("inside", [{"resistance": 0.4}, {"resistance": 0.1, "peukert": 1.3, "rated_time": "20 h"}])
+def test_what_is_lost_inside_counts_on_the_way_home(inside: dict[str, Any]) -> None:
+    """The reserve after coming home was what the terminals deliver on it: too much by what the battery loses."""
+    battery = {"capacity": "2 Ah", "nominal_voltage": "12 V", "model": {**FLAT, **inside}}
+    machine, out = simple(batteries__main=battery), {"drive": {"to": "end", "speed": 1}}
+    away = run([out], machine, PLACES, start="dock").batteries["main"]
+    back = run([out, {"drive": {"to": "dock", "speed": 1}}], machine, PLACES, start="dock").batteries["main"]
+    assert away.reserve_wh == pytest.approx(back.charge_left_wh)
+    assert away.charge_left_wh - (away.home_wh or 0.0) == pytest.approx(away.reserve_wh)
+
+
+def test_a_voltage_that_falls_below_the_cut_off_on_the_way_home_is_told() -> None:
+    model = {**FLAT, "open_circuit_voltage": [[0, 10], [1, 12]], "resistance": 0.2, "cut_off": 10.9}
+    machine = simple(batteries__main={"capacity": "0.2 Ah", "nominal_voltage": "11 V", "model": model})
+    result = run([{"drive": {"to": "middle", "speed": 1}}], machine, PLACES, start="dock")
+    assert result.batteries["main"].reserve_wh > 0.5
+    assert "cannot bring the robot home" in result.reason
+
+
 def test_conversion_loss_and_reserve_below_policy() -> None:
     result = run(
         [{"wait": {"duration": 3600}}],
