@@ -63,11 +63,12 @@ def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ..
 
 def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Effect:
     """USB switchboard: power by the number of relays that are closed (Jaiem 2021, Table 3). One parameter per number of
-    relays; the relays are those of the units that are on."""
+    relays; the relays are those of the units that are on or start."""
     specs = tuple(ParameterSpec(f"relays_{i}", "W", f"with {i} relays closed") for i in range(levels))
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        closed = sum((np.asarray(number(cov, f"on_{component}")) for component in components), start=np.asarray(0.0))
+        units = (number(cov, f"{state}_{component}") for component in components for state in ("on", "starting"))
+        closed = sum(map(np.asarray, units), start=np.asarray(0.0))
         table = [p[spec.name] for spec in specs]
         result: Any = table[0] * np.ones_like(closed, dtype=float)
         for i, watts in enumerate(table[1:], start=1):

@@ -27,7 +27,6 @@ class ChargerSpec(Model):
     power: values.Power
     batteries: tuple[Identifier, ...] = ()
     slots: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 1
-    efficiency: values.Efficiency = Parameter(1.0)
 
 
 class PlaceSpec(Model):

@@ -44,6 +44,16 @@ def test_the_robot_waits_standing_for_a_component_that_starts() -> None:
     assert list(result.timeline.columns["moving"]) == [0.0, 1.0]
 
 
+def test_a_relay_is_closed_while_what_hangs_on_it_starts() -> None:
+    machine = robot(
+        components__camera__startup=STARTING,
+        components__camera__relay="board",
+        switchboards={"board": {"battery": "main", "power": [0.5, 1.0, 3.0]}},
+    )
+    result = run([{"wait": {"duration": 10}}, {"wait": {"duration": 10, "sensors": {"camera": 2}}}], machine)
+    assert list(result.energy_j["main"]["board"]["board"]) == pytest.approx([0.5 * 10, 3.0 * 3, 3.0 * 10])
+
+
 def test_requirements_come_first_one_after_the_other() -> None:
     machine = robot(
         components__camera__startup=STARTING,

@@ -144,7 +144,7 @@ def random_files(rng: np.random.Generator, folder: Path) -> tuple[dict, dict, di
         if rng.random() < 0.5:
             charger["batteries"] = [str(rng.choice(BATTERIES))]
         if rng.random() < 0.3:
-            charger["efficiency"] = float(rng.uniform(0.7, 1.0))
+            charger["slots"] = round(2.0 * rng.uniform(0.7, 1.0))
         places[name]["charger"] = charger
     loads = bool(rng.random() < 0.4)
     speeds = sorted({round(float(s), 3) for s in rng.uniform(0.3, TOP, int(rng.integers(1, 3 if ramps else 4)))})
