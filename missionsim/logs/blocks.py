@@ -104,7 +104,7 @@ def _join(parts: list[ColumnData]) -> ColumnData:
 
 
 def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a log; the suffix decides between ``.parquet`` and ``.csv``.
+    """Write a log, with the rows that were left out within it; the suffix decides between ``.parquet`` and ``.csv``.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -
             return
         columns = [
             Labels(data.codes, tuple(map(csv_cell, data.names))).texts() if isinstance(data, Labels) else data.tolist()
-            for data in log.columns.values()
+            for data in (log.whole or log.columns).values()
         ]
         with open(temporary, "w", encoding="utf-8", newline="") as handle:
             writer = csv.writer(handle, lineterminator="\n")
@@ -197,6 +197,6 @@ def _table(log: Run, metadata: Mapping[str, str]) -> pa.Table:
         )
         if isinstance(data, Labels)
         else pa.array(data)
-        for name, data in log.columns.items()
+        for name, data in (log.whole or log.columns).items()
     }
     return pa.table(arrays).replace_schema_metadata({key.encode(): value.encode() for key, value in metadata.items()})

@@ -44,6 +44,8 @@ class Rows:
     remarks: list[Remark]
     dt: Array | None = None
     """Time that each row stands for [s], once time is in order."""
+    whole: tuple[dict[str, ColumnData], NDArray[np.int64]] | None = None
+    """Columns, and `row`, before rows that lack a value were left out."""
 
     @property
     def time(self) -> Array:
@@ -336,6 +338,7 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
     if not whole.all():
         told = f"{int((~whole).sum())} of {n} rows lack a value with no other near"
         rows.remark("missing", "", told, "these rows were left out", "warning", ~whole)
+        rows.whole = dict(rows.columns), rows.row
         rows.take(whole)
         for name in held:
             held[name] = held[name][whole]

@@ -261,11 +261,16 @@ def _freeze(
     log = Run(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
     if own is not None:
         driven &= (rows.row >= own[0]) & (rows.row < own[1])
+    inside = np.flatnonzero(driven)
+    together = len(inside) > 0 and inside[-1] - inside[0] == len(inside) - 1
     if not driven.all():
-        inside = np.flatnonzero(driven)
-        together = len(inside) and inside[-1] - inside[0] == len(inside) - 1
         log = log.rows_where(slice(inside[0], inside[-1] + 1) if together else driven)
-    return log
+    if rows.whole is None and together:
+        return log
+    columns, row = rows.whole or (rows.columns, rows.row)
+    kept = np.flatnonzero(np.isin(row, rows.row[driven]))
+    within = slice(kept[0], kept[-1] + 1) if len(kept) else slice(0)
+    return replace(log, whole={name: data[within] for name, data in columns.items()})
 
 
 def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:

@@ -52,6 +52,9 @@ class Run:
     _: KW_ONLY
     begin_s: float = math.nan
     """When it began, in seconds since 1970; not a number where its log does not say."""
+    whole: Mapping[str, ColumnData] | None = field(default=None, repr=False, compare=False)
+    """Its columns with the rows that were left out within it, where there are such: without them in its file, the rows
+    beside them would stand for their time."""
 
     def __post_init__(self) -> None:
         for name in ("columns", "power_w", "fresh", "power_from"):
@@ -121,6 +124,7 @@ class Run:
             self,
             columns={name: data[keep] for name, data in self.columns.items()},
             dt_s=self.dt_s[keep],
+            whole=None,
             power_w={name: power[keep] for name, power in self.power_w.items()},
             fresh={name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
         )
