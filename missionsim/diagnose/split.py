@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from missionsim.diagnose.spared import spared
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
@@ -78,8 +79,9 @@ def choose_split(
     `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
     a condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files and
     folders of other logs, which are checked against `robot`; `left_out`: runs that are not among `logs`, with why. By
-    default the last quarter of four or more runs. Raises InputError: for a value that is none of these, a condition
-    that no run or every run meets, unknown runs, other logs of which none can be tested on.
+    default the last quarter of four or more runs, as far as others show what they show. Raises InputError: for a value
+    that is none of these, a condition that no run or every run meets, unknown runs, other logs of which none can be
+    tested on.
     """
     logs = tuple(logs)
     if holdout is None:
@@ -140,9 +142,12 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     count = max(1, math.floor(fraction * len(logs) + 1e-9))
     if count >= len(logs):
         raise InputError.single("too few runs to hold some out", got=f"{len(logs)} run", allowed="at least 2 runs")
-    what = "run" if count == 1 else f"{count} runs"
-    train, held = logs[:-count], logs[-count:]
-    how = f"the last {what} of {len(logs)}"
+    places, causes = spared(logs, count)
+    held, train = (tuple(log for n, log in enumerate(logs) if (n in places) == out) for out in (True, False))
+    if causes:
+        which, shown = ", ".join(run.run for run in held), ", ".join(causes)
+        return Split(train, held, f"{which} of {len(logs)} runs, the last of which alone show {shown}")
+    how = f"the last {'run' if count == 1 else f'{count} runs'} of {len(logs)}"
     for name in sorted(set.intersection(*(set(log.columns) for log in logs))):
         fitted, tested = ([_texts(log.columns[name]) for log in some] for some in (train, held))
         of = set.union(*tested)

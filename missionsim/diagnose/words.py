@@ -31,10 +31,11 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     said = list(filter(None, [sentences.worse(battery)]))
     said += [f"{sentences.missing(f)}{sentences.named(f)}." for f in battery.clear]
     for effect in battery.unsure:
-        names = " or ".join(battery.either(effect))
+        names, named = " or ".join(battery.either(effect)), {one.effect for one in battery.clear}
         other = "else " if battery.clear else ""
         told = f"{other}is missing, {100 * effect.energy_share:.1f} % of the energy: {names}"
-        said.append(f"Something {told}. These data cannot tell which.")
+        or_both = ", or whether it is both" if len(effect.alike) == 1 and not named & {*effect.alike} else ""
+        said.append(f"Something {told}. These data cannot tell which{or_both}.")
     if driven := [_execution(f) for f in battery.execution]:
         said.append(f"The robot drove otherwise than planned: {'; '.join(driven)}.")
     for law in battery.proposed_laws:
