@@ -281,8 +281,7 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     if known is not None and not ("<" in known[0].name and re.search(role.avoid, known[1].replace("_", " "))):
         own = WORDS["columns"].get(known[0].name)
         return Guess(role.name, field.name, "", 3.0, "a name of the glossary", "sure") if own == role.name else None
-    # a file may be called a status
-    words = words_of(re.sub(r"status(?=[^.]*\.)", "", field.name, flags=re.I) if field.joined else field.name)[0]
+    words = words_of(re.sub(r"status(?=[^.]*\.)", "", field.name, flags=re.I))[0]  # a file or topic may be called so
     inner = _inner_name(field)
     tail, unit = words_of(inner)
     typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")
@@ -313,9 +312,9 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     numbers = np.asarray(field.values)
     values = np.abs(numbers[np.isfinite(numbers)])
     large = float(np.quantile(values, 0.95)) if len(values) else 0.0
-    if tail == "" and large > role.high:
+    if tail == "" and large * size_of(unit) > role.high:
         unit, own_dimension = "", False  # a column that is called V holds millivolts
-    if role.name == "speed" and not unit and re.match(r"V(?![a-z])", inner):
+    if role.name == "speed" and not unit and re.match(r"V(?![A-Za-z])", inner):
         return None  # volts
     score = 1.0 * named + 0.8 * own_dimension
     reasons = ["the name"] * named + [f"its unit {unit}"] * own_dimension

@@ -25,6 +25,7 @@ from missionsim.logs.readers import (
     Options,
     Reader,
     Topic,
+    is_echo,
     not_there,
     reader_of,
     recorded,
@@ -85,7 +86,7 @@ def _inside(folder: Path) -> list[Path]:
     found: list[Path] = []
     loose = tuple(suffix for reader in registry().values() if reader.folder for suffix in reader.suffixes)
     for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
-        if path.suffix.lower() in source_suffixes() or _is_source(path):
+        if path.suffix.lower() in source_suffixes() or _is_source(path) or is_echo(path):
             found.append(path)
         elif path.is_dir():
             found += sorted(p for p in path.iterdir() if p.suffix.lower() in loose and not p.name.startswith("."))

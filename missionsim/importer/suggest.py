@@ -258,6 +258,10 @@ def _as_motion(one: Field, fields: Sequence[Field]) -> Field:
     return one
 
 
+_TEXTS = ("jsonlines", "printed", "broker", "echo")
+"""Readers of messages that people write into a file for each topic."""
+
+
 def _to_join(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     """The files of one run: one of each layout, with all of its layout, where no file has both power and motion;
     nothing for a lone file."""
@@ -265,7 +269,9 @@ def _to_join(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     called: dict[str, tuple[str, ...]] = {}  # files of one name, in folders of runs, are of one layout
     for path in paths[:50]:
         reader = reader_of(path)
-        names = (one.name for one in fields_of(path, reader, 50)) if reader.table is not None else (reader.name,)
+        names = [reader.name]
+        if reader.table is not None or reader.name in _TEXTS:
+            names = [one.name.removeprefix(f"{path.stem}.") for one in fields_of(path, reader, 50)]
         layouts.setdefault(called.setdefault(path.name, tuple(names)), []).append(path)
     if len(layouts) < 2:
         return {}

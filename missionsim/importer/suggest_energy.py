@@ -76,6 +76,21 @@ def negated(formula: str) -> str:
     return f"-({formula})" if " " in formula else f"-{formula}"
 
 
+_MOST_W = 5000.0
+"""Power beyond which a counter without a unit is hardly in Wh (assumed)."""
+
+
+def _ask_for_unit(draft: Draft, guess: Guess) -> None:
+    time_s = draft.time_s if draft.direct else draft.fields[guess.field].time_s
+    if guess.unit or "unit" in guess.why or guess.score >= 3.0 or time_s is None or len(time_s) < 2:
+        return
+    counted = float(np.nansum(np.abs(np.diff(without_resets(draft.values(guess.field))[0]))))
+    hours = float(np.nanmax(time_s) - np.nanmin(time_s)) / 3600.0
+    if counted > _MOST_W * hours > 0.0:
+        told = f"'{guess.field}' in Wh would be {counted / hours:.3g} W on average"
+        draft.missing.append(f"{told}: write what it counts in (`{{value: …, unit: J}}`)")
+
+
 def from_counter(draft: Draft) -> list[str]:
     """The energy so far of a counter, or the power by the energy of each row."""
     found = [guess for guess in draft.best("energy", 0.7) if not goes_back(guess)]
@@ -91,6 +106,7 @@ def from_counter(draft: Draft) -> list[str]:
         ):
             return _per_row(draft, guess)
         falls = int((step < 0).sum()) > int((step > 0).sum())
+        _ask_for_unit(draft, guess)
         guess, ref = net(draft, guess, "energy", told=True)
         why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
         draft.column("energy_robot_wh", negated(ref) if falls else ref, replace(guess, why=why))

@@ -163,10 +163,12 @@ def _speed(draft: Draft) -> str:
         other = Guess("lateral_speed", _across(found[0].field), "", 1.0, "the speed to the left beside it", "likely")
         draft.column("lateral_speed_m_s", _moving(draft, other.field, "v_left"), other)
     elif aside:
-        north = found[0].field
+        over = next((one for one in found if re.search(r"\b(ground ?speed|sog)\b", words_of(one.field)[0])), None)
+        north, found = (found[0].field, found) if over is None else (None, [over])
     if north is not None:
         refs = [_moving(draft, name, alias) for name, alias in ((north, "vx"), (_across(north), "vy"))]
-        guess = Guess("speed", north, "", 1.0, "speed over ground; without its sign", "likely")
+        unit = found[0].unit if found and found[0].field == north else ""
+        guess = Guess("speed", north, unit, 1.0, "speed over ground; without its sign", "likely")
         draft.column("speed_m_s", f"hypot({', '.join(refs)})", guess)
     elif found:
         guess = _speed_unit(draft, found[0])
@@ -208,7 +210,7 @@ def _across(name: str) -> str:
 def _goes_sideways(draft: Draft, guess: Guess) -> bool:
     """Whether a speed along x has one along y of its size beside it: both are over ground, not ahead."""
     other = draft.fields.get(_across(guess.field))
-    if other is None or other.name == guess.field or guess.unit or isinstance(other.values, Labels):
+    if other is None or other.name == guess.field or isinstance(other.values, Labels):
         return False
     ahead, side = (np.nan_to_num(np.abs(draft.values(name))) for name in (guess.field, other.name))
     return float(np.quantile(side, 0.95)) > 0.2 * float(np.quantile(ahead, 0.95))

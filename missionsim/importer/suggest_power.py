@@ -138,8 +138,9 @@ def _too_much(draft: Draft, watts: NDArray[np.float64]) -> str:
 
 def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:
     """A current without a unit that no battery of its voltage delivers is in milliamperes."""
-    values, level = draft.values(amps.field), float(np.nanmedian(draft.values(volts.field, volts.unit)))
-    large = float(np.nanquantile(np.abs(values), 0.95)) if np.isfinite(values).any() else 0.0
+    values = draft.values(amps.field)
+    values, level = values[np.isfinite(values)], float(np.nanmedian(draft.values(volts.field, volts.unit)))
+    large = float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
     if re.fullmatch(r"(.*\.)?current_battery", amps.field) and (values == np.round(values)).mean() > 0.99:
         return replace(amps, unit="cA", sure="likely", why=f"{amps.why}; 10 mA, as MAVLink counts it")
     if amps.unit or "unit" in amps.why or amps.score >= 3.0 or not large > max(60.0, _AMPERES_A_VOLT * level):
@@ -165,7 +166,8 @@ def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
     both = [guess.field.rpartition(".") for guess in (one, other)]
     if draft.direct or both[0][0] == both[1][0]:
         return True
-    parents = [topic.rpartition("/")[0] for topic, _, field in both if field == "data"]
+    alone = [one for one in both if one[2] == "data" or one[2] in re.split(r"[/.]", one[0])]
+    parents = [topic.rpartition("/")[0] if "/" in topic else topic.replace(field, "*", 1) for topic, _, field in alone]
     return len(parents) == 2 and parents[0] == parents[1] != ""
 
 

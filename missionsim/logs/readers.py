@@ -163,6 +163,12 @@ def is_recording(path: Path) -> bool:
     return any(path.suffix.lower() in one.suffixes or (one.folder and (path / one.folder).exists()) for one in kinds)
 
 
+def is_echo(path: Path) -> bool:
+    """Whether a YAML file holds messages of a topic as ROS prints them."""
+    like = registry()["echo"].like
+    return path.suffix.lower() in (".yaml", ".yml") and like is not None and bool(like.match(path.read_bytes()[:99]))
+
+
 def reader_of(path: Path) -> Reader:
     """The reader of a file, by its first bytes and then by its name; text of an unknown name is a table. Raises
     InputError: nothing there, a folder that is no source, a pipe, or a file that is not what its name says."""

@@ -53,6 +53,10 @@ def test_speeds_over_ground_in_one_table(tmp_path: Path) -> None:
     v = loggers.speed(T)
     path = write(tmp_path / "a.csv", "t,power_w,vx,vy", T.round(1), loggers.power(T), v * 0.6, v * 0.8)
     assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
+    for unit, size in (("m/s", 1), ("cm/s", 100)):
+        names = f"t,power_w,v x [{unit}],v y [{unit}]"
+        path = write(tmp_path / "d.csv", names, T.round(1), loggers.power(T), v * 0.6 * size, v * 0.8 * size)
+        assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
     path = write(tmp_path / "c.csv", "t,power_w,v x [m/s],v y [m/s]", T.round(1), loggers.power(T), v * 0.6, v * 0.8)
     assert suggested(tmp_path, path).number("speed_m_s").max() == pytest.approx(v.max(), rel=0.01)
     path = write(tmp_path / "b.csv", "t,power_w,vx,vy", T.round(1), loggers.power(T), v, 0.01 * v)

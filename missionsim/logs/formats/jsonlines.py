@@ -1,5 +1,5 @@
 """Text with a message a line: JSON lines, as loggers and message brokers write them, VDA 5050 ``state`` messages among
-them; what programs print, kept in a file: ``tegrastats`` of a Jetson, messages of ``ros2 topic echo``."""
+them; dicts that Python prints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.files import first_line
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, RawTable, Remark, damaged, numbers_in
+from missionsim.logs.raw import ColumnData, Remark, damaged, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.times import TimeError, is_stamp, read_stamps
 
@@ -28,6 +28,11 @@ _INSIDE = ("payload", "data", "msg", "message")
 """Where a broker's log keeps the message itself, beside its topic and time."""
 _BEFORE = re.compile(r"(?:([^\s{\[\",;]+)\s+)?([^\s{\[\",;]+\s+)(?=\{\")")
 """What a client of a broker prints before a message: perhaps a time, and the topic."""
+_PLAIN = re.compile(r"(\S+)[ \t]+((?!N/A)[\w.-]+(?:/[\w.-]+)+)[ \t]+([^\s{\[][^\n]*)")
+"""A time, a topic and a value that is no object, as such a client prints them."""
+_KIND = re.compile(r"(\w+\.)?(mavpackettype|(msg|message|packet)_?(type|name)?|type)", re.IGNORECASE)
+"""What a field is called that says what a message is."""
+_MOST_KINDS = 100
 _EPOCH = re.compile(r"\d{9,19}(\.\d+)?\Z")
 _MOST_ELEMENTS = 16
 _MOST_FAULTS = 20
@@ -71,8 +76,36 @@ def read_json(path: Path, options: Options) -> Recording:
     topics = []
     for (topic, serial), messages in held.items():
         name = f"{topic}[{serial}]" if topic in several else topic
-        topics.append(_topic(name, messages, path, options, remarks))
+        kinds = _kinds(messages) if topic == "json" else {}
+        if not kinds:
+            topics.append(_topic(name, messages, path, options, remarks))
+        for kind, some in kinds.items():
+            try:
+                topics.append(_topic(kind, some, path, options, remarks))
+            except InputError as error:
+                told = error.faults[0].message
+                remarks.append(Remark("missing", "", told, "they were left out", "warning", 0, len(some)))
     return Recording(topics, remarks)
+
+
+def _kinds(messages: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """The messages of each kind, where a field of all names it and two kinds share less than half of their fields, so
+    that what has one name in both may be another thing; else empty."""
+    for key in filter(_KIND.fullmatch, messages[0]):
+        kinds: dict[str, list[dict[str, Any]]] = {}
+        for message in messages:
+            kinds.setdefault(str(message.get(key, "")), []).append(message)
+        fields = [{name for message in some for name in message} - {key} for some in kinds.values()]
+        fields = [{name for name in one if name.rpartition(".")[2].lower() not in _TIMES} for one in fields]
+        apart = any(2 * len(one & other) < len(one | other) for one, other in itertools.combinations(fields, 2))
+        if (
+            len(kinds) <= _MOST_KINDS
+            and all(kinds)
+            and all(isinstance(one.get(key), str) for one in messages)
+            and apart
+        ):
+            return kinds
+    return {}
 
 
 def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
@@ -93,7 +126,10 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
         for number, line in enumerate(handle, start=1):
             if not line.strip():
                 continue
-            before = _BEFORE.match(line)
+            before, plain = _BEFORE.match(line), _PLAIN.match(line)
+            if plain and not before and (is_stamp(plain[1]) or _EPOCH.match(plain[1])):
+                yield {"topic": plain[2], "time": plain[1], plain[2].rpartition("/")[2]: plain[3].strip()}
+                continue
             try:
                 record = _parsed(line[before.end(2) :] if before else line)
                 if not isinstance(record, dict):
@@ -129,6 +165,9 @@ def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
     if not isinstance(found, dict):
         return
     lists = [one for one in found.values() if isinstance(one, list) and len(one) > 1]
+    if isinstance(found.get("data"), dict) and found["data"].get("resultType") == "matrix":
+        yield from _series(found["data"].get("result", []))
+        return
     columns = {
         name: list(one.values()) if isinstance(one, dict) else one
         for name, one in found.items()
@@ -150,6 +189,17 @@ def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
         yield from _rows_in(inner[0])
     else:
         yield found
+
+
+def _series(result: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Rows of the series that Prometheus gives for a range: a topic each, with those labels that tell them apart."""
+    labels = [one.get("metric", {}) for one in result]
+    names = dict.fromkeys(itertools.chain.from_iterable(labels))
+    differ = [key for key in names if len({one.get(key) for one in labels}) > 1 and key != "__name__"]
+    for one, own in zip(result, labels, strict=True):
+        name = own.get("__name__", "value")
+        topic = ".".join([name, *(str(own[key]) for key in differ if key in own)])
+        yield from ({"topic": topic, "time": time, name: value} for time, value in one.get("values", []))
 
 
 def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
@@ -268,90 +318,12 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
     return Recording(topics, [], start * 1e-9) if counts else None
 
 
-_STATS = re.compile(r"(?:(\d\d)-(\d\d)-(\d{4}) (\d\d:\d\d:\d\d) )?RAM (\d+)/(\d+)MB ")
-_RAIL = re.compile(r"\b([A-Z][A-Z0-9_]*) (\d+)(?:mW)?/\d+(?:mW)?(?= |$)")
-_WARMTH = re.compile(r"\b([A-Za-z0-9_]+)@(-?\d+(?:\.\d+)?)C\b")
-
-
-def read_tegrastats(path: Path, _options: Options) -> RawTable:
-    """Rails [mW], temperatures, load of processor and graphics of each line; its time, where it has one, else its
-    number. Raises InputError: no such line."""
-    rows: list[dict[str, float]] = []
-    stamps: list[str] = []
-    numbers: list[int] = []
-    others = 0
-    with open(path, encoding="utf-8-sig", errors="replace") as handle:
-        for number, line in enumerate(handle, start=1):
-            if (found := _STATS.match(line)) is None:
-                others += bool(line.strip())
-                continue
-            row = {f"{name}_mW": float(value) for name, value in _RAIL.findall(line)}
-            row |= {f"temp_{name}_degC": float(value) for name, value in _WARMTH.findall(line)}
-            if cores := re.search(r"CPU \[([^\]]*)\]", line):
-                loads = [re.match(r"(\d+)%", core) for core in cores[1].split(",")]
-                row["cpu_load_%"] = sum(float(load[1]) for load in loads if load) / len(loads)
-            if graphics := re.search(r"GR3D_FREQ (\d+)%", line):
-                row["gpu_load_%"] = float(graphics[1])
-            rows.append(row | {"memory_MB": float(found[5])})
-            stamps.append(f"{found[3]}-{found[1]}-{found[2]}T{found[4]}" if found[1] else "")
-            numbers.append(number)
-    if not rows:
-        raise InputError(Fault(str(path), 1, 1, "no line of tegrastats in it", allowed="RAM 1795/7859MB (lfb …"))
-    columns: dict[str, ColumnData] = {"index": np.arange(len(rows), dtype=np.float64)}
-    if all(stamps):
-        columns = {"time": Labels.of(stamps)}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        columns[name] = np.array([row.get(name, np.nan) for row in rows])
-    remarks = []
-    if others:
-        told = f"{others} lines are none of tegrastats"
-        remarks.append(Remark("format", "", told, "they were left out", "note", 0, others))
-    return RawTable(str(path), columns, lambda row: numbers[row] if row >= 0 else 0, remarks, names=tuple(columns))
-
-
-def read_echo(path: Path, options: Options) -> Recording:
-    """Messages of one topic, printed as YAML with ``---`` between, at the times of their headers; the topic is called
-    as the file. Raises InputError: no message with a time."""
-    import yaml
-
-    loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    times: list[float] = []
-    messages: list[dict[str, object]] = []
-    broken = 0
-    for part in re.split(r"^---\s*$", path.read_text(encoding="utf-8", errors="replace"), flags=re.MULTILINE):
-        if not part.strip():
-            continue
-        try:
-            fields = dict(flat(loader(part).get_single_data(), ""))
-            whole, fine = (
-                next(float(str(fields[f"header.stamp.{name}"])) for name in names if f"header.stamp.{name}" in fields)
-                for names in (("sec", "secs"), ("nanosec", "nsecs"))
-            )
-        except (yaml.YAMLError, StopIteration, RuntimeError, ValueError):
-            broken += 1
-            continue
-        times.append(whole + 1e-9 * fine)
-        messages.append({name: value for name, value in fields.items() if not name.startswith("header.")})
-        if options.most is not None and len(times) >= options.most:
-            break
-    if not times:
-        raise InputError(Fault(str(path), 1, 1, "no message with a time in it", allowed="header: stamp: in each"))
-    remarks = [damaged(f"{broken} of {broken + len(times)} messages are cut or have no time", broken)] if broken else []
-    name = path.stem
-    return Recording(
-        [Topic(name, np.array(times), columns_of(messages, options.fields, name), "", len(times))], remarks
-    )
-
-
-_STATS_BEGIN = re.compile(rb"(?:[^\n]{1,40}\n)?(?:\d\d-\d\d-\d{4} \d\d:\d\d:\d\d )?RAM \d+/\d+MB ")
 _PRINTED_BEGIN = re.compile(rb"(?:[^\n{]{0,200}\n){0,9}\{[\"']\w+[\"']: ")
-_ECHO_BEGIN = re.compile(rb"header:\s*\n(?:  seq: \d+\s*\n)?  stamp:")
+_BROKER_BEGIN = re.compile(rf"{_BEFORE.pattern}|(?=\d{{4}}-|\d{{9,19}}[ .]){_PLAIN.pattern}\n".encode())
 
 
 READERS = (
     Reader("jsonlines", "JSON lines file", (".jsonl", ".ndjson"), (b"{", b"[", b"\xef\xbb\xbf{"), recording=read_json),
     Reader("printed", "file of printed dicts", (), recording=read_json, like=_PRINTED_BEGIN),
-    Reader("broker", "file of a broker's messages", (), recording=read_json, like=re.compile(_BEFORE.pattern.encode())),
-    Reader("tegrastats", "tegrastats log", (), table=read_tegrastats, like=_STATS_BEGIN),
-    Reader("echo", "file of echoed messages", (), recording=read_echo, like=_ECHO_BEGIN),
+    Reader("broker", "file of a broker's messages", (), recording=read_json, like=_BROKER_BEGIN),
 )

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from missionsim.errors import Fault, InputError
+from missionsim.labels import Labels
 from missionsim.logs.formats.dialect import MISSING_WORDS, UNITS, Dialect, cells_of, is_number
 from missionsim.logs.raw import RawTable, Remark
 from missionsim.logs.times import is_stamp
@@ -31,6 +32,11 @@ def refuse_second_header(raw: RawTable, names: Sequence[str]) -> None:
         for code, word in enumerate(map(str.strip, labels.names)):
             if not is_number(word) and word not in MISSING_WORDS:
                 words.setdefault(int(np.argmax(labels.codes == code)), {})[name] = word
+    first = next(iter(raw.columns.values()))
+    if isinstance(first, Labels):  # `#datatype,long,…` above each table that Influx writes
+        words = {
+            row: found for row, found in words.items() if not (first[row : row + 1].texts()[0] or "").startswith("#")
+        }
     numbers = [name for name, data in raw.columns.items() if isinstance(data, np.ndarray)]
     again: set[int] = set()
     for row, found in sorted(words.items()):
