@@ -15,9 +15,9 @@ from missionsim.runs.run import Run
 
 TOLD_APART = 0.05
 """Part of the squares of a cause over runs that another one must leave for both to be told apart at all (assumed)."""
-LEAST_KEPT = 0.2
-"""Part of what tells them apart that the fitted runs keep (assumed): by chance a quarter of eight runs takes more in
-one case of fourteen, a pair of runs driven for it more always."""
+LEAST_KEPT = 1.0 / 3.0
+"""Part of what tells them apart that the fitted runs keep (assumed): a quarter of eight runs takes more of one cause in
+one case of fourteen, of a drive made to tell two apart always."""
 
 
 def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
@@ -26,12 +26,12 @@ def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
 
     Runs that were driven to tell two causes apart would be held out as the last, and never be learnt from.
     """
-    names, means = _steady(logs)
-    whole = _apart(means)
+    names, sums = _causes(logs)
+    whole = _apart(sums)
     asked = whole > TOLD_APART * np.diag(whole)[:, None]
 
     def kept(held: Sequence[int]) -> Array:
-        rest = _apart(np.delete(means, held, axis=0))
+        rest = _apart(np.delete(sums, held, axis=0))
         return np.divide(rest, whole, out=np.ones_like(whole), where=asked)
 
     held = list(range(len(logs) - count, len(logs)))
@@ -44,30 +44,30 @@ def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
     return sorted(held), lost
 
 
-def _steady(logs: Sequence[Run]) -> tuple[list[str], Array]:
-    """Causes of effects that hardly change within runs, a label once for each of its texts, and their means over runs,
-    shape (runs, causes)."""
-    names, means = [], []
+def _causes(logs: Sequence[Run]) -> tuple[list[str], Array]:
+    """Causes of effects that hardly change within most runs, a label once for each of its texts, and of each run the
+    integrals over time of products of one and of them, shape (runs, 1 + causes, 1 + causes)."""
     needed = {logged_name(name) for effect in all_effects((), ("",)) for name in effect.needs}
+    names, rows = [], [[np.ones(len(log))] for log in logs]
     for name in sorted(needed.intersection(*(set(log.covariates()) for log in logs))):
         columns = [log.columns[name] for log in logs]
         texts = {text for column in columns if isinstance(column, Labels) for text in column.names}
         for text in sorted(texts) or [""]:
             parts = [column.equals(text) if isinstance(column, Labels) else column for column in columns]
             values = [np.asarray(part, dtype=np.float64) for part in parts]
-            within = sum(float(np.sum((value - value.mean()) ** 2)) for value in values)
-            every = np.concatenate(values)
+            within = float(np.median([np.var(value) for value in values]))
             # of what some runs do not know nothing is said: NaN is never less
-            if within < BETWEEN_PART * float(np.sum((every - every.mean()) ** 2)):
+            if within < BETWEEN_PART * float(np.var(np.concatenate(values))):
                 names.append(name)
-                means.append([value.mean() for value in values])
-    return names, np.array(means).reshape(len(names), len(logs)).T
+                for own, value in zip(rows, values, strict=True):
+                    own.append(value)
+    return names, np.array([(np.array(own) * log.dt_s) @ np.array(own).T for own, log in zip(rows, logs, strict=True)])
 
 
-def _apart(values: Array) -> Array:
-    """Squares of each cause over runs that another one leaves, shape (causes, causes), on the diagonal all."""
-    centred = values - values.mean(axis=0)
-    gram = centred.T @ centred
+def _apart(sums: Array) -> Array:
+    """Squares of each cause over time that another one leaves, shape (causes, causes), on the diagonal all."""
+    total = sums.sum(axis=0)
+    gram = total[1:, 1:] - np.outer(total[0, 1:], total[0, 1:]) / total[0, 0]
     alone = np.diag(gram)
     rest = alone[:, None] - gram**2 / np.maximum(alone, 1e-300)
     np.fill_diagonal(rest, alone)

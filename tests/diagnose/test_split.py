@@ -66,6 +66,16 @@ def test_what_the_last_runs_alone_show_is_fitted(floors: str, loads: list[int], 
     assert len(split.train) == 8
 
 
+def test_a_last_run_in_which_what_is_constant_elsewhere_changes_is_fitted() -> None:
+    """Load and cold go together in all runs but the one that was driven to tell them apart, which is one more."""
+    cold = np.repeat([4.0, 19.0], 15)
+    loads = [(float(i % 4), np.full(30, 20.0 - 5.0 * (i % 4))) for i in range(8)] + [(0.0, cold)]
+    runs = [drive(i, seconds=30.0, payload_kg=np.full(30, p), temp_ambient_c=c) for i, (p, c) in enumerate(loads)]
+    split = choose_split(runs)
+    assert "run_08" in names(split.train)
+    assert split.how == "run_05, run_06 of 9 runs, the last of which alone show payload_kg, temp_ambient_c"
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_runs_hold_none_out_and_say_so(count: int) -> None:
     assert len(choose_split(RUNS[:4]).heldout) == 1
