@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from missionsim.effects.library import all_effects
-from missionsim.identify.settings import BETWEEN_PART
 from missionsim.labels import Labels
 from missionsim.physics import Array
-from missionsim.runs.covariates import logged_name
+from missionsim.runs.covariates import MOTION, is_switch, logged_name
 from missionsim.runs.run import Run
 
 TOLD_APART = 0.05
@@ -35,7 +34,11 @@ def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
         return np.divide(rest, whole, out=np.ones_like(whole), where=asked)
 
     held = list(range(len(logs) - count, len(logs)))
-    lost = sorted({names[k] for pair in np.argwhere(kept(held) < LEAST_KEPT) for k in pair})
+    gone = kept(held) < LEAST_KEPT
+    # what is not shown at all is not shown apart from anything either
+    alone = np.diag(gone)
+    pairs = gone & ~alone[:, None] & ~alone[None, :] | np.diag(alone)
+    lost = sorted({names[k] for pair in np.argwhere(pairs) for k in pair})
     if lost:
         held = []
         while len(held) < count:
@@ -45,22 +48,21 @@ def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
 
 
 def _causes(logs: Sequence[Run]) -> tuple[list[str], Array]:
-    """Causes of effects that hardly change within most runs, a label once for each of its texts, and of each run the
-    integrals over time of products of one and of them, shape (runs, 1 + causes, 1 + causes)."""
+    """Causes of effects that all runs log, motion as it is and squared, a label once for each of its texts; and of each
+    run the integrals over time of products of one and of them, shape (runs, 1 + causes, 1 + causes)."""
     needed = {logged_name(name) for effect in all_effects((), ("",)) for name in effect.needs}
+    logged = set.intersection(*(set(log.covariates()) for log in logs))
     names, rows = [], [[np.ones(len(log))] for log in logs]
-    for name in sorted(needed.intersection(*(set(log.covariates()) for log in logs))):
+    for name in sorted(name for name in logged if name in needed or is_switch(name)):
         columns = [log.columns[name] for log in logs]
-        texts = {text for column in columns if isinstance(column, Labels) for text in column.names}
-        for text in sorted(texts) or [""]:
-            parts = [column.equals(text) if isinstance(column, Labels) else column for column in columns]
-            values = [np.asarray(part, dtype=np.float64) for part in parts]
-            within = float(np.median([np.var(value) for value in values]))
-            # of what some runs do not know nothing is said: NaN is never less
-            if within < BETWEEN_PART * float(np.var(np.concatenate(values))):
-                names.append(name)
-                for own, value in zip(rows, values, strict=True):
-                    own.append(value)
+        texts = sorted({text for column in columns if isinstance(column, Labels) for text in column.names})
+        names += [name] * (len(texts) or 1 + (name in MOTION))
+        for own, column in zip(rows, columns, strict=True):
+            if isinstance(column, Labels):
+                own += [column.equals(text).astype(np.float64) for text in texts]
+            else:
+                own += [column, column**2] if name in MOTION else [column]
+    # of what some rows do not know nothing is said: NaN is never more
     return names, np.array([(np.array(own) * log.dt_s) @ np.array(own).T for own, log in zip(rows, logs, strict=True)])
 
 
@@ -69,6 +71,8 @@ def _apart(sums: Array) -> Array:
     total = sums.sum(axis=0)
     gram = total[1:, 1:] - np.outer(total[0, 1:], total[0, 1:]) / total[0, 0]
     alone = np.diag(gram)
-    rest = alone[:, None] - gram**2 / np.maximum(alone, 1e-300)
+    varies = alone > 1e-9 * np.diag(total)[1:]
+    alone = np.where(varies, alone, 0.0)
+    rest = alone[:, None] - np.where(varies, gram**2 / np.where(varies, alone, 1.0), 0.0)
     np.fill_diagonal(rest, alone)
     return np.asarray(rest)

@@ -50,30 +50,55 @@ def test_last_runs_that_are_all_of_what_few_fitted_ones_are_differ_in_kind(floor
         # the two drives that tell load and floor apart came last
         ("ttttssssst", [0, 1, 0, 1, 4, 5, 4, 5, 0, 5], [3, 6], "show payload_kg, surface"),
         ("ttttssssst", [0, 1, 0, 1, 0, 1, 0, 1, 0, 1], [8, 9], "the last 2 runs of 10"),
-        ("tttttttttt", [0, 1, 0, 1, 0, 1, 0, 1, 5, 6], [5, 7], "show payload_kg"),
+        ("tttttttttt", [0, 1, 0, 1, 0, 1, 0, 1, 5, 6], [6, 7], "show payload_kg"),
         ("ttttttttss", [0, 1, 0, 1, 0, 1, 0, 1, 0, 1], [6, 7], "surface"),
         ("tttttttttt", [3] * 10, [8, 9], "the last 2 runs of 10"),
     ],
 )
 def test_what_the_last_runs_alone_show_is_fitted(floors: str, loads: list[int], held: list[int], how: str) -> None:
-    runs = []
+    runs, same = [], drive(0, seconds=30.0)
     for number, (floor, load) in enumerate(zip(floors, loads, strict=True)):
-        run = drive(number, seconds=30.0, payload_kg=np.full(30, float(load)))
-        runs.append(replace(run, columns={**run.columns, "surface": Labels.of([floor] * 30)}))
+        own = {"payload_kg": np.full(30, float(load)), "surface": Labels.of([floor] * 30)}
+        runs.append(replace(same, run=f"run_{number:02d}", columns={**same.columns, **own}))
     split = choose_split(runs, "0.2")
     assert names(split.heldout) == [f"run_{number:02d}" for number in held]
     assert how in split.how
     assert len(split.train) == 8
 
 
-def test_a_last_run_in_which_what_is_constant_elsewhere_changes_is_fitted() -> None:
-    """Load and cold go together in all runs but the one that was driven to tell them apart, which is one more."""
-    cold = np.repeat([4.0, 19.0], 15)
-    loads = [(float(i % 4), np.full(30, 20.0 - 5.0 * (i % 4))) for i in range(8)] + [(0.0, cold)]
-    runs = [drive(i, seconds=30.0, payload_kg=np.full(30, p), temp_ambient_c=c) for i, (p, c) in enumerate(loads)]
-    split = choose_split(runs)
-    assert "run_08" in names(split.train)
-    assert split.how == "run_05, run_06 of 9 runs, the last of which alone show payload_kg, temp_ambient_c"
+@pytest.mark.parametrize(
+    ("usual", "last", "held"),
+    [
+        # load and cold go together but in the drive that tells them apart
+        ([(p, 20.0 - 5.0 * p) for p in (0.0, 1.0, 2.0, 3.0)], (0.0, [4.0, 19.0]), False),
+        ([(0.0, 5.0), (0.0, 19.0), (3.0, 5.0), (3.0, 19.0)], (0.0, [4.0, 19.0]), True),
+    ],
+)
+def test_a_last_drive_that_alone_tells_causes_apart_is_fitted(
+    usual: list[tuple[float, float]], last: tuple[float, list[float]], held: bool
+) -> None:
+    same = drive(0, seconds=60.0)
+    runs = []
+    for number, (load, cold) in enumerate([*usual, *usual, last]):
+        own = {"payload_kg": np.full(60, load), "temp_ambient_c": np.resize(np.repeat(cold, 15), 60)}
+        runs.append(replace(same, run=f"run_{number:02d}", columns={**same.columns, **own}))
+    assert ("run_08" in names(choose_split(runs).heldout)) is held
+
+
+@pytest.mark.parametrize(("speeds", "held"), [((0.5, [0.2, 0.9]), False), (([0.2, 0.9], [0.2, 0.9]), True)])
+def test_the_only_drive_at_several_speeds_is_fitted(speeds: tuple[object, object], held: bool) -> None:
+    same = drive(0, seconds=60.0)
+    runs = []
+    for number, speed in enumerate([*7 * [speeds[0]], speeds[1]]):
+        moving = np.arange(60) > 4
+        runs.append(
+            replace(
+                same,
+                run=f"run_{number:02d}",
+                columns={"time_s": same.time_s, "speed_m_s": np.resize(np.repeat(speed, 15), 60) * moving},
+            )
+        )
+    assert ("run_07" in names(choose_split(runs).heldout)) is held
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
