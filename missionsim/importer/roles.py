@@ -101,7 +101,10 @@ def known_unit(text: str) -> str:
 
 @functools.cache
 def _by_pint(text: str) -> str:
-    """A unit that is rare (``ft/s``, ``knot``, ``hp``), as it is written; empty where it is none of what logs hold."""
+    """A unit that is rare (``ft/s``, ``knot``, ``hp``, ``0.1V``), as it is written; empty where it is none of what logs
+    hold, or the name of a rail (``12V``)."""
+    if re.match(r"\d", text) and not re.match(r"0?\.0*1(?!\d)|10 ?m[AVW]", text):
+        return ""
     for dimension in WORDS["units"]:
         if dimension not in ("fraction", "charge"):
             try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import ROLES, UNITS, Guess, folded, words_of
+from missionsim.importer.roles import ROLES, Guess, folded, words_of
 from missionsim.importer.suggest_energy import (
     from_charge,
     from_counter,
@@ -20,6 +20,7 @@ from missionsim.importer.suggest_energy import (
     sum_of_cells,
     sum_of_currents,
 )
+from missionsim.importer.suggest_meters import WHOLE, from_meters, from_sides, sides
 from missionsim.importer.suggest_missing import current_alone, no_power, with_larger_parts
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
@@ -33,15 +34,9 @@ _PART = (
     r"|mech\w*|mecan(?!um)\w*|shaft|wellen?\w*|arbre|rated|nominale?|nenn\w*|peak)\b"
 )
 _ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
-_WHOLE, _NO_CURRENT = (
-    r"\b(battery|batt?|bus|pack|system|total|robot|main|input)\b",
-    r"\b(limit|max|min|target|set ?point)\b",
-)
-"""A meter of all that a battery feeds; what is called a current and is none."""
 _SIDE = r"\b(left|right|front|rear|fl|fr|rl|rr|l|r|links|rechts|gauche|droite)\b"
 _BY_GLOSSARY, _OF_A_PART = 3.0, 1.3
 """Score of a name of the glossary, and how much less it is where it names no battery or total: another one may."""
-_PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
 
 def suggest(draft: Draft) -> None:
@@ -60,10 +55,10 @@ def suggest(draft: Draft) -> None:
     power = power if pair is not None else with_larger_parts(draft, power)
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
-    elif pair is not None and (re.search(_WHOLE, _called(draft, pair[1].field)) or not _drivers(draft)):
-        sources = _from_pair(draft, *pair)
+    elif pair is not None and (re.search(WHOLE, _called(draft, pair[1].field)) or not sides(draft)):
+        sources = from_meters(draft, pair) or _from_pair(draft, *pair)
     else:
-        sources = _from_drivers(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
+        sources = from_sides(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
         sources = sources or _from_two_files(draft, volts, amps) or current_alone(draft, volts, amps)
     if "sides_w" in draft.let and not any(guess.field == "sides_w" for _, guess in draft.columns.values()):
         del draft.let["sides_w"], draft.fields["sides_w"]
@@ -251,68 +246,6 @@ def _sign(draft: Draft, volts: Guess, amps: Guess) -> tuple[str, str]:
     if mean < 0:
         return "", "?its mean is negative, but the voltage falls as it rises: charged on average?"
     return "-", "?its mean is positive, but the voltage rises with it: charged on average?"
-
-
-def _named(draft: Draft) -> dict[str, list[str]]:
-    """Every voltage and every current, whatever of."""
-    named: dict[str, list[str]] = {"voltage": [], "current": []}
-    for name, one in draft.fields.items():
-        words, unit = words_of(name)
-        if isinstance(one.values, Labels):
-            continue
-        for kind, letters in (("voltage", r"volt(age|s)?"), ("current", r"current|amps?")):
-            if re.search(rf"\b({letters})\b", words) or (unit and UNITS[unit][0] == kind):
-                named[kind].append(name)
-    return named
-
-
-def _drivers(draft: Draft) -> list[tuple[str, str]]:
-    """Voltage and current of each of several motor drivers; their names differ in the side alone."""
-    named = _named(draft)
-    pairs = [
-        (v, i)
-        for v in named["voltage"]
-        for i in named["current"]
-        if re.sub(r"volt(age|s)?|_v$", "", v, flags=re.I) == re.sub(r"current|amps?|_a$", "", i, flags=re.I)
-    ]
-    sided = [
-        [pair for pair in pairs if side in pair[0].lower()]
-        for sides in _PAIRS
-        for side in sides
-        if all(any(s in pair[0].lower() for pair in pairs) for s in sides)
-    ]
-    return list(dict.fromkeys(pair for group in sided[:2] for pair in group))
-
-
-def _rest(draft: Draft, drivers: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The battery's voltage and each further current of the drivers' message, that of a computer or of ports."""
-    topic = drivers[0][0].rpartition(".")[0]
-    inside = {kind: [n for n in names if n.rpartition(".")[0] == topic] for kind, names in _named(draft).items()}
-    volts = next((name for name in inside["voltage"] if re.search(_WHOLE, words_of(name)[0])), "")
-    taken = {current for _, current in drivers}
-    more = [i for i in inside["current"] if i not in taken and not re.search(_NO_CURRENT, words_of(i)[0])]
-    return [(volts, i) for i in more if volts and np.nanmean(draft.values(i)) > 0]
-
-
-def _from_drivers(draft: Draft) -> list[str]:
-    """Power of several motor drivers, and of what else their message has a current of."""
-    drivers = _drivers(draft)
-    if not drivers:
-        return []
-    rest = _rest(draft, drivers)
-    terms = [
-        f"{draft.ref(volts, f'volts_{index}')} * {draft.ref(amps, f'amps_{index}')}"
-        for index, (volts, amps) in enumerate([*drivers, *rest])
-    ]
-    others = "".join(f" and {amps.rpartition('.')[2]}" for _, amps in rest)
-    why = f"the sum of the drivers{others}; what the battery feeds beside them is not in it"
-    draft.column("power_robot_w", " + ".join(terms), Guess("power", drivers[0][0], "", 1.0, why, "likely"))
-    # zero for a while: the topic was not up yet
-    levels = [(volts, draft.values(volts)) for volts, _ in drivers]
-    late = [draft.ref(name, "volts") for name, v in levels if (v == 0).any() and float(np.nanmedian(v)) > 3.0]
-    if late and draft.direct:
-        draft.head["keep"] = " and ".join(f"{name} > 0" for name in late)
-    return [name for pair in drivers for name in pair]
 
 
 def _rows(draft: Draft, sources: list[str]) -> None:

@@ -81,6 +81,10 @@ def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
     of = DIMENSIONS[dimension]
     if unit in of.units:
         return of.units[unit], 0.0
+    if scaled := re.fullmatch(r"(\d*\.?\d+)\s*([^\d\s].*)", unit):  # the tenth volts of a register, `0.1 V`
+        factor, zero = unit_factor(scaled[2], dimension)
+        if zero == 0.0 < float(scaled[1]):
+            return float(scaled[1]) * factor, 0.0
     if unit in _OF:
         raise UnitError(f"wrong unit: {unit} is a unit of {_OF[unit].name}", unit, str(of))
     quantity = _pint_unit(unit, str(of), of.units)

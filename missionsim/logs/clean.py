@@ -388,6 +388,9 @@ def _filled(rows: Rows, name: str, data: Array, known: Bools, sparse: bool) -> A
         return np.where(known, data, values)
     period = float(np.median(np.diff(time[at]))) if len(at) > 1 else np.inf
     limit = max(1.0, 3 * float(np.median(np.diff(time))), 3 * period)
+    if stays and sparse and len(at) > _COARSE and np.diff(data[at]).all():
+        uneven = float(np.quantile(np.diff(time[at]), 0.9)) > 2.0 * period
+        limit = np.inf if uneven else limit  # written only where it changes
     inside = (before >= 0) & (after < len(data))
     near = inside & (time[np.clip(after, 0, len(data) - 1)] - time[np.clip(before, 0, None)] <= limit)
     edge = ~inside & (np.abs(time - time[np.clip(np.where(before < 0, after, before), 0, len(data) - 1)]) <= limit)

@@ -250,6 +250,7 @@ def _freeze(
         most = max(power, key=lambda name: abs(float(power[name].mean())))
         for battery in [name for name in batteries if name in power] or [most]:
             suspect.check_meter(rows, battery, power[battery])
+            suspect.check_spikes(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:
         suspect.check_standstill(rows, next(iter(power.values())) if len(power) == 1 else None)
         check_clock(rows, power)

@@ -179,6 +179,24 @@ def stretches(chosen: Bools) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
+_SPIKE, _SPIKES = 10.0, 0.01
+"""How many times what is usual a row alone has from which it is no start of a drive, and part of the energy from which
+such rows are told (assumed)."""
+
+
+def check_spikes(rows: Rows, battery: str, power_w: Array) -> None:
+    """Tell single rows of a power far beyond all others, as a disturbed meter shows them."""
+    size = np.abs(power_w)
+    most = _SPIKE * np.maximum(float(np.quantile(size, 0.95)), np.maximum(size[:-2], size[2:]))
+    alone = np.r_[False, size[1:-1] > most, False] if len(size) > 2 else np.zeros(len(size), dtype=bool)
+    share = float(size[alone].sum() / max(float(size.sum()), 1e-9))
+    if share > _SPIKES:
+        told = f"{int(alone.sum())} rows alone at up to {size[alone].max():.4g} W"
+        told += f", over {_SPIKE:g} times what is usual: {100 * share:.2g} % of the energy"
+        action = "kept; if the meter was disturbed, a map with 'keep' leaves them out"
+        rows.remark("range", f"power_{battery}_w", told, action, "warning", alone)
+
+
 _CEILING, _OFTEN, _TWICE = 5, 3, 0.1
 """Rows at the greatest power, and how many times as many as at any other value, from which the meter is cut off there;
 part of the rows in which another value may come twice running, as that of a rounded meter does (assumed)."""

@@ -481,6 +481,23 @@ def test_charging_sign(tmp_path: Path) -> None:
     assert "does the sun feed it?" in remark.message
 
 
+def test_rows_of_a_disturbed_meter_are_told(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"][[50, 150, 250]] = 9000.0
+    assert "3 rows alone at up to 9000 W" in found(read(tmp_path, columns), "range", "power_robot_w").message
+
+
+def test_what_is_written_only_where_it_changes_is_held(tmp_path: Path) -> None:
+    """Rows far from a change of the voltage were left out: two thirds of the energy."""
+    columns = motion()
+    watts, volts = columns.pop("power_robot_w"), np.full(400, np.nan)
+    changes = np.unique(np.r_[0, np.cumsum(np.random.default_rng(1).geometric(0.08, size=28))])
+    volts[changes] = 24.0 + 0.1 * (np.arange(len(changes)) % 2)
+    log = read(tmp_path, {**columns, "voltage_robot_v": volts, "current_robot_a": watts / 24.05})
+    assert log.rows == 400
+    assert log.energy_wh("robot") == pytest.approx(float(watts.sum()) * 0.5 / 3600.0, rel=0.01)
+
+
 def test_what_a_robot_takes_at_the_dock_is_left_out(tmp_path: Path) -> None:
     columns = motion()
     rest = (columns["time_s"] > 120) & (columns["time_s"] < 170)

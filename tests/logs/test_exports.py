@@ -330,3 +330,31 @@ def test_the_name_of_a_file_makes_no_current_that_of_the_whole_robot(tmp_path: P
     files = {"husky_robot-status": meter, "odometry": {"Time": T, "linear_x": V, "angular_z": YAW}}
     log, _ = suggested(*(write(tmp_path / "run" / f"{name}.csv", one) for name, one in files.items()))
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_meters_of_parts_are_added_up_with_a_question(tmp_path: Path) -> None:
+    """Only what the computer took had been the robot's."""
+    watts = loggers.power(T)
+    parts = {"logic_voltage": 0 * T + 12.0, "logic_current": 0 * T + 0.5}
+    parts |= {"motor_voltage": 0 * T + 24.0, "motor_current": (watts - 6.0) / 24.0}
+    log, _ = suggested(write(tmp_path / "a.csv", {"t": T} | parts), code=1)
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    whole = {"battery_voltage": 0 * T + 24.0, "battery_current": watts / 24.0}
+    log, _ = suggested(write(tmp_path / "b.csv", {"t": T} | parts | whole))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_drivers_whose_names_end_in_units(tmp_path: Path) -> None:
+    watts, columns = loggers.power(T), {"t": T}
+    for side in ("left", "right"):
+        columns |= {f"{side}_voltage_mV": 0 * T + 24e3, f"{side}_current_mA": 1e3 * watts / 48.0}
+    log, _ = suggested(write(tmp_path / "a.csv", columns))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_units_of_registers(tmp_path: Path) -> None:
+    """Tenths of volts were volts; what stands in brackets may also be a rail."""
+    head = {"t": T, "Voltage(0.1V)": 0 * T + 240.0, "Current(10mA)": 100 * loggers.power(T) / 24.0}
+    log, _ = suggested(write(tmp_path / "a.csv", head))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert words_of("Current (12V)")[1] == ""

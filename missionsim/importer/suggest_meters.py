@@ -1,0 +1,114 @@
+"""Suggestions for a power of several meters: of motor drivers, of parts of what a battery feeds."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from missionsim.importer.roles import UNITS, Guess, size_of, words_of
+from missionsim.labels import Labels
+
+if TYPE_CHECKING:
+    from missionsim.importer.suggest import Draft
+
+WHOLE = r"\b(battery|batt?|bus|pack|system|total|robot|main|input)\b"
+"""A meter of all that a battery feeds."""
+_NO_METER = r"\b(limit|max|min|target|set ?point|charg\w*|solar|dock|rated|nominal)\b"
+_PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
+_LETTERS = {"voltage": r"volt(age|s)?", "current": r"current|amps?"}
+
+
+def _named(draft: Draft) -> dict[str, list[str]]:
+    """Every voltage and every current, whatever of."""
+    named: dict[str, list[str]] = {"voltage": [], "current": []}
+    for name, one in draft.fields.items():
+        words, unit = words_of(name)
+        if isinstance(one.values, Labels):
+            continue
+        for kind, letters in _LETTERS.items():
+            if re.search(rf"\b({letters})\b", words) or (unit and UNITS[unit][0] == kind):
+                named[kind].append(name)
+    return named
+
+
+def _stem(name: str, kind: str) -> str:
+    """What a meter is called, without what it measures."""
+    letter = "[uv]" if kind == "voltage" else "i"
+    return " ".join(re.sub(rf"{_LETTERS[kind]}|\b{letter}\b", "", words_of(name)[0]).split())
+
+
+def _pairs(draft: Draft) -> list[tuple[str, str]]:
+    """Voltages and currents whose names differ in what they measure alone; of channels nobody knows what they feed."""
+    named = {kind: [(name, _stem(name, kind)) for name in names] for kind, names in _named(draft).items()}
+    pairs = (
+        (volts, amps, stem) for volts, stem in named["voltage"] for amps, other in named["current"] if stem == other
+    )
+    return [(volts, amps) for volts, amps, stem in pairs if not re.search(r"\bch(annel)? ?\d", stem)]
+
+
+def _sum(draft: Draft, pairs: list[tuple[str, str]]) -> str:
+    """The formula of their power together."""
+    terms = []
+    for index, (volts, amps) in enumerate(pairs):
+        size = size_of(words_of(volts)[1]) * size_of(words_of(amps)[1])
+        term = f"{draft.ref(volts, f'volts_{index}')} * {draft.ref(amps, f'amps_{index}')}"
+        terms.append(term + (f" * {size:g}" if size != 1.0 else ""))
+    return " + ".join(terms)
+
+
+def from_meters(draft: Draft, pair: tuple[Guess, Guess]) -> list[str]:
+    """Power of all meters of a table where `pair`, the best voltage and current, is one of a part by its name, as
+    `logic_voltage` beside `motor_voltage`; with a question."""
+    chosen, pairs = (pair[0].field, pair[1].field), _pairs(draft)
+    words = [f"{words_of(volts)[0]} {words_of(amps)[0]}" for volts, amps in pairs]
+    more = [one for one, called in zip(pairs, words, strict=True) if not re.search(_NO_METER, called)]
+    whole = not _stem(chosen[0], "voltage") or any(re.search(WHOLE, called) for called in words)
+    if not draft.direct or chosen not in more or len(more) < 2 or whole:
+        return []
+    told = ", ".join(f"'{_stem(volts, 'voltage')}'" for volts, _ in more)
+    draft.missing.append(f"the powers of {told} were added up: is each another part of what the battery feeds?")
+    guess = Guess("power", more[0][0], "", 1.0, f"the sum of {len(more)} meters", "a guess")
+    draft.column("power_robot_w", _sum(draft, more), guess)
+    return [name for one in more for name in one]
+
+
+def sides(draft: Draft) -> list[tuple[str, str]]:
+    """Voltage and current of each of several motor drivers; their names differ in the side alone."""
+    pairs = _pairs(draft)
+    sided = [
+        [pair for pair in pairs if side in pair[0].lower()]
+        for both in _PAIRS
+        for side in both
+        if all(any(s in pair[0].lower() for pair in pairs) for s in both)
+    ]
+    return list(dict.fromkeys(pair for group in sided[:2] for pair in group))
+
+
+def _rest(draft: Draft, drivers: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """The battery's voltage and each further current of the drivers' message, that of a computer or of ports."""
+    topic = drivers[0][0].rpartition(".")[0]
+    inside = {kind: [n for n in names if n.rpartition(".")[0] == topic] for kind, names in _named(draft).items()}
+    volts = next((name for name in inside["voltage"] if re.search(WHOLE, words_of(name)[0])), "")
+    taken = {current for _, current in drivers}
+    more = [i for i in inside["current"] if i not in taken and not re.search(_NO_METER, words_of(i)[0])]
+    return [(volts, i) for i in more if volts and np.nanmean(draft.values(i)) > 0]
+
+
+def from_sides(draft: Draft) -> list[str]:
+    """Power of several motor drivers, and of what else their message has a current of."""
+    drivers = sides(draft)
+    if not drivers:
+        return []
+    rest = _rest(draft, drivers)
+    others = "".join(f" and {amps.rpartition('.')[2]}" for _, amps in rest)
+    why = f"the sum of the drivers{others}; what the battery feeds beside them is not in it"
+    guess = Guess("power", drivers[0][0], "", 1.0, why, "likely")
+    draft.column("power_robot_w", _sum(draft, [*drivers, *rest]), guess)
+    # zero for a while: the topic was not up yet
+    levels = [(volts, draft.values(volts)) for volts, _ in drivers]
+    late = [draft.ref(name, "volts") for name, v in levels if (v == 0).any() and float(np.nanmedian(v)) > 3.0]
+    if late and draft.direct:
+        draft.head["keep"] = " and ".join(f"{name} > 0" for name in late)
+    return [name for pair in drivers for name in pair]
