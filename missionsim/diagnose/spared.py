@@ -12,7 +12,7 @@ from missionsim.physics import Array
 from missionsim.runs.covariates import MOTION, is_switch, logged_name
 from missionsim.runs.run import Run
 
-TOLD_APART = 0.05
+TOLD_APART = 0.01
 """Part of the squares of a cause over runs that another one must leave for both to be told apart at all (assumed)."""
 LEAST_KEPT = 1.0 / 3.0
 """Part of what tells them apart that the fitted runs keep (assumed): a quarter of eight runs takes more of one cause in
