@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -135,25 +136,48 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
 
 
 def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
-    """The best manoeuvres to tell the effects of a set apart, best first.
+    """The best manoeuvres to tell the effects of a set apart, best first, or those of a part of it with the first one
+    where more of them are likely to be ruled out.
 
     Score: the smallest expected lead over all ordered pairs of the set, each effect as strong as the logs say it would
     be if it were the one, with the imagined run among the data (a T-optimal design).
     """
-    constraints = Constraints.of(bench.model.design.layout, bench.features.candidates)
     names = [name for name in names if _columns(bench, name)]
-    if len(names) < 2:
-        return []
+    known: dict[tuple[str, float], Gram] = {}
+
+    def imagined(manoeuvre: Manoeuvre) -> Gram:
+        key = (manoeuvre.do, manoeuvre.duration_s)
+        if key not in known:
+            known[key] = bench.imagined(manoeuvre)
+        return known[key]
+
+    best: list[Experiment] = []
+    most = 0.0
+    for others in range(len(names) - 1, 0, -1):
+        if best and most >= others:  # no fewer of them can be worth more
+            break
+        for some in combinations(names[1:], others):
+            found = _to_tell(bench, (names[0], *some), imagined, whole=others == len(names) - 1)
+            ruled_out = others * np.nan_to_num(found[0].expected_power) if found else 0.0
+            if found and (not best or ruled_out > most):
+                best, most = found, ruled_out
+    return best
+
+
+def _to_tell(
+    bench: Bench, names: Sequence[str], imagined: Callable[[Manoeuvre], Gram], whole: bool
+) -> list[Experiment]:
+    """The best manoeuvres to tell all of some effects apart; of a part of a set only what these logs leave open."""
+    constraints = Constraints.of(bench.model.design.layout, bench.features.candidates)
     now = worst_lead(bench, constraints, bench.model.gram, names)
     # by such a lead they would have been told apart, but for what no column shows: as much again must come
     known = now >= ENOUGH_NATS
+    if known and not whole:
+        return []
     least = now + (ENOUGH_NATS if known else BETTER_NATS)
     about = {c.covariate for c in bench.features.candidates if c.effect in names} - {"speed_m_s", ""}
-    scored = []
-    for manoeuvre in library(bench.site):
-        gram = bench.imagined(manoeuvre)
-        # what rounding alone tells apart stays in the library's order
-        scored.append((round(worst_lead(bench, constraints, gram, names), 6), manoeuvre))
+    # what rounding alone tells apart stays in the library's order
+    scored = [(round(worst_lead(bench, constraints, imagined(m), names), 6), m) for m in library(bench.site)]
     # among those that will do, one that varies a single cause of the set speaks for itself
     scored.sort(key=lambda pair: (-min(pair[0], ENOUGH_NATS), len(pair[1].varies & about) != 1, -pair[0]))
     found = []
@@ -164,12 +188,13 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
         for times in LENGTHS:
             if times > 1:
                 chosen = shortened(manoeuvre, float(times))
-                lead = worst_lead(bench, constraints, bench.imagined(chosen), names)
+                lead = worst_lead(bench, constraints, imagined(chosen), names)
             if lead >= ENOUGH_NATS:
                 break
         do = manoeuvre.do if times == 1 else f"{manoeuvre.do}; {times} times as long"
         parts = tuple(part.to_json() for part in chosen.parts)
         found.append(Experiment(tuple(names), do, power_of(lead), now, lead, chosen.duration_s / 60.0, parts))
+    found.sort(key=lambda one: -min(one.separation_after, ENOUGH_NATS))
     return found or [Experiment(tuple(names), ELSEWHERE)] * known
 
 

@@ -106,7 +106,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         lines += [("NEXT", law.experiment)] if law.experiment else []
     lines += [("NEXT", next_line(experiment)) for experiment in battery.next_experiments]
     if battery.unsure and not battery.next_experiments:
-        lines.append(("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart"))
+        lines.append(("NEXT", "no manoeuvre that we know, driven for twelve minutes, tells any of these apart"))
     lines.append(("NOT SEEN", _not_seen(battery)))
     without = "without the law: " * bool(battery.proposed_laws)
     lines.append(("REMAINS", f"{without}{left}" if (left := battery.unexplained.shape) else "nothing beyond the noise"))

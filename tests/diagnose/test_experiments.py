@@ -225,13 +225,54 @@ def test_the_manoeuvre_that_is_proposed(monkeypatch: pytest.MonkeyPatch, leads: 
     )
     for name, stub in {
         "library": lambda _: manoeuvres,
-        "shortened": lambda one, times: SimpleNamespace(**{**vars(one), "lead": times * one.lead}),
+        "shortened": lambda one, times: SimpleNamespace(
+            **{**vars(one), "lead": times * one.lead, "duration_s": times * one.duration_s}
+        ),
         "worst_lead": lambda _bench, _constraints, gram, _names: gram,
         "_columns": lambda *_: [0],
         "Constraints": SimpleNamespace(of=lambda *_: None),
     }.items():
         monkeypatch.setattr(experiments, name, stub)
     assert [one.do for one in experiments.propose(bench, ["a", "b"])] == told
+
+
+@pytest.mark.parametrize(
+    ("leads", "told"),
+    [
+        ({"abc": 0.3, "ab": 14.0, "ac": 0.3}, ("a", "b")),  # nothing tells c from the others
+        ({"abc": 2.0, "ab": 14.0, "ac": 2.0}, ("a", "b")),  # one of two surely, rather than both perhaps
+        ({"abc": 6.0, "ab": 14.0, "ac": 6.0}, ("a", "b", "c")),
+        ({"abc": 0.3, "ab": 0.4, "ac": 13.0}, ("a", "c")),
+        ({"abc": 0.3, "ab": 0.4, "ac": 0.3}, None),
+        ({"abc": 0.0, "ab": 0.4, "ac": 13.0, "now": 13.0}, None),  # what these logs should have told no drive adds to
+    ],
+)
+def test_a_part_of_a_set_is_told_apart_where_no_drive_tells_all(
+    monkeypatch: pytest.MonkeyPatch, leads: dict[str, float], told: tuple[str, ...] | None
+) -> None:
+    """For an effect with two rivals: the leads that one manoeuvre would give, and those of now, 0.2 or as given."""
+    now = leads.get("now", 0.2)
+    hill = SimpleNamespace(do="hill", varies=set(), duration_s=60.0, parts=(), gram=True)
+    bench = SimpleNamespace(
+        site=None,
+        imagined=lambda manoeuvre: manoeuvre.gram,
+        model=SimpleNamespace(gram=False, design=SimpleNamespace(layout=None)),
+        features=SimpleNamespace(candidates=[SimpleNamespace(effect=n, covariate=n) for n in "abc"]),
+    )
+
+    def lead(_bench: object, _constraints: object, driven: bool, names: tuple[str, ...]) -> float:
+        return leads["".join(names)] if driven else (0.0 if len(names) == 3 else now)
+
+    for name, stub in {
+        "library": lambda _: [hill],
+        "shortened": lambda one, times: one,
+        "worst_lead": lead,
+        "_columns": lambda *_: [0],
+        "Constraints": SimpleNamespace(of=lambda *_: None),
+    }.items():
+        monkeypatch.setattr(experiments, name, stub)
+    found = experiments.propose(bench, ["a", "b", "c"])
+    assert [one.separates for one in found] == ([told] if told else [])
 
 
 OWN = """kind: robot

@@ -191,7 +191,7 @@ def test_nothing_is_excluded_of_what_may_be_the_cause() -> None:
     unsure = replace(BATTERY, effects=(PAYLOAD,), candidates=(*BATTERY.candidates, rival))
     lines = words.report(unsure)
     assert "surface_rolling_resistance" not in dict(lines)["NOT SEEN"]
-    assert ("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart") in lines
+    assert ("NEXT", "no manoeuvre that we know, driven for twelve minutes, tells any of these apart") in lines
 
 
 def test_without_effects_there_is_no_error_with_them() -> None:
