@@ -39,6 +39,11 @@ class Distribution:
         return replace(self, kind="truncated_normal", low=ends[0], high=ends[1])
 
     @property
+    def ends(self) -> tuple[float, float]:
+        """Between which all its values lie, SI."""
+        return (min(self.values), max(self.values)) if self.values else (self._low, self._high)
+
+    @property
     def mean(self) -> float:
         """Mean, SI."""
         return self._moments[0]

@@ -198,6 +198,10 @@ class QuantityOf:
         if (low is not None and value < low) or (high is not None and value > high):
             allowed = f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}"
             issues.tell("value outside its own low and high", as_written(raw.get("value")), allowed, "value")
+        least, most = (-math.inf, math.inf) if distribution is None or "value" not in raw else distribution.ends
+        if not least <= value <= most:  # a run would take what no draw is, as in feet beside plain numbers in metres
+            allowed = f"{least:g} to {most:g}, in SI" if self.dimension else f"{least:g} to {most:g}"
+            issues.tell("value outside its own distribution", as_written(raw["value"]), allowed, "value")
         if distribution is None and sd is not None and sd > 0:
             floor = low if low is not None else (self.low if math.isfinite(self.low) and not self.bounds else None)
             roof = high if high is not None else (self.high if math.isfinite(self.high) and not self.bounds else None)
@@ -300,9 +304,7 @@ class QuantityOf:
         distribution = parameter.distribution
         candidates = [("value", parameter.value), ("low", parameter.low), ("high", parameter.high)]
         if distribution is not None and distribution.kind not in ("normal", "lognormal"):
-            low = min(distribution.values) if distribution.values else distribution.low
-            high = max(distribution.values) if distribution.values else distribution.high
-            candidates += [("distribution", low), ("distribution", high)]
+            candidates += [("distribution", end) for end in distribution.ends if math.isfinite(end)]
         for key, number in candidates:
             if number is None:
                 continue

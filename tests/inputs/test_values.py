@@ -108,6 +108,14 @@ def test_empirical_from_a_csv_column(tmp_path: Path) -> None:
         ),
         ({"low": 3, "high": 2}, [("low above high", ("low",))]),
         ({"value": 5, "low": 1, "high": 2}, [("value outside its own low and high", ("value",))]),
+        (
+            {"value": 5, "distribution": {"kind": "uniform", "low": 10, "high": 20}},
+            [("value outside its own distribution", ("value",))],
+        ),
+        (
+            {"value": "1 kW", "distribution": {"kind": "discrete", "values": [1, 2], "weights": [1, 1]}},
+            [("value outside its own distribution", ("value",))],
+        ),
         ({"sd": 1}, [("no value", ())]),
         ({"value": 1, "distribution": {"kind": "gauss"}}, [("unknown kind of distribution", ("distribution", "kind"))]),
         (
