@@ -142,7 +142,7 @@ class Search:
     holdout
         Runs that are not fitted but tested on: a fraction, run names with commas between, a condition such as
         "surface == 'carpet'", or files and folders of other logs; none for no hold-out. By default the last quarter of
-        four or more runs, or others where these alone show a load or a floor.
+        four or more runs, or others where these show most of a load or a floor.
     alpha
         Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     no_align

@@ -146,7 +146,7 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     held, train = (tuple(log for n, log in enumerate(logs) if (n in places) == out) for out in (True, False))
     if causes:
         which, shown = ", ".join(run.run for run in held), ", ".join(causes)
-        return Split(train, held, f"{which} of {len(logs)} runs, the last of which alone show {shown}")
+        return Split(train, held, f"{which} of {len(logs)} runs, as the last ones show most of {shown}")
     how = f"the last {'run' if count == 1 else f'{count} runs'} of {len(logs)}"
     for name in sorted(set.intersection(*(set(log.columns) for log in logs))):
         fitted, tested = ([_texts(log.columns[name]) for log in some] for some in (train, held))
