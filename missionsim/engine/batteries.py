@@ -348,6 +348,11 @@ class EquivalentCircuit:
         return None
 
 
+def greatest_fall(levels: Array) -> Array:
+    """By how much a charge falls at most below what it was before, along the first axis."""
+    return np.asarray(np.max(np.maximum.accumulate(levels, axis=0) - levels, axis=0))
+
+
 Battery = ConstantEnergy | EquivalentCircuit
 """What the engine asks of a battery; the state is a number of its own."""
 

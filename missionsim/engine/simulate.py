@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from missionsim.effects.model import PowerModel, TermKey
-from missionsim.engine.batteries import CHARGE_TOLERANCE, Battery, ConstantEnergy
+from missionsim.engine.batteries import CHARGE_TOLERANCE, Battery, ConstantEnergy, greatest_fall
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, DrivenEdge, RunResult, edges_driven
@@ -312,7 +312,7 @@ class RunSetup:
         empty = next((alarm for alarm in alarms if alarm.kind == "empty" and alarm.battery == name), None)
         if self.goes_on:  # what it would take on bottomless batteries is not what it takes
             whole = world
-        lowest = min((float(np.min(battery.charge_j(b.states[name]))) for b in whole.meter.batches), default=initial)
+        course = np.concatenate([[initial], *(battery.charge_j(b.states[name]) for b in whole.meter.batches)])
         if audit > MOST_AUDIT_ERROR:
             raise AuditError(name, audit, meter.batches, terms)
         duration = float(world.env.now)
@@ -331,7 +331,7 @@ class RunSetup:
             reserve_wh=left / J_PER_WH - (home_wh or 0.0),
             empty_at_s=None if empty is None else empty.time_s,
             empty_in_segment="" if empty is None else world.segments[empty.segment].name,
-            deficit_wh=max(0.0, -lowest) / J_PER_WH,
-            needed_wh=(initial - min(lowest, initial)) / J_PER_WH if whole.completed else None,
+            deficit_wh=max(0.0, -float(course.min())) / J_PER_WH,
+            needed_wh=float(greatest_fall(course)) / J_PER_WH if whole.completed else None,
             audit_relative_error=audit,
         )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import Columns, Truth, is_clock
 from missionsim.effects.model import PowerModel, Term, TermKey
 from missionsim.effects.timeline import SAMPLES, integrate
-from missionsim.engine.batteries import CHARGE_TOLERANCE, ConstantEnergy
+from missionsim.engine.batteries import CHARGE_TOLERANCE, ConstantEnergy, greatest_fall
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import RunSetup, simulate
@@ -165,17 +165,18 @@ class ArrayMission:
             )
             given = energy[name]
             if isinstance(given, float):  # a power that never changes
-                total = most = given * knots[-1]
+                total = most = fall = given * knots[-1]
                 charge = np.multiply.outer(_PARTS, total)
             else:
                 spent = running_sum(given.T)
                 total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
+                fall = most if given.min() >= 0.0 else greatest_fall(-spent)
             net = total
             if docked := [i for i, leg in enumerate(intervals.legs) if leg.recharge and name in leg.recharge.batteries]:
                 used = given * duration if isinstance(given, float) else given
                 assert isinstance(battery, ConstantEnergy)
                 store = replace(battery, capacity_j=capacity, initial=initial)
-                course = charge_course(store, docked, intervals, part, used.T, knots)
+                *course, fall = charge_course(store, docked, intervals, part, used.T, knots)
                 charge, net, most = initial - course[0], initial - course[1], initial - course[2]
             np.subtract(initial, charge, out=charge)
             np.multiply(charge, 1.0 / J_PER_WH, out=columns[f"charge_{name}_wh"].T)
@@ -188,7 +189,7 @@ class ArrayMission:
                 ("energy", total),
                 ("charge_left", left),
                 ("margin", left - required),
-                ("needed", np.maximum(most, 0.0)),
+                ("needed", np.maximum(fall, 0.0)),
             ):
                 np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Covariates, Labels, Truth
 from missionsim.effects.timeline import Timeline
-from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.batteries import ConstantEnergy, greatest_fall
 from missionsim.engine.meter import alone
 from missionsim.engine.recorder import REST
 from missionsim.engine.simulate import RunSetup
@@ -295,8 +295,9 @@ def phases_of(
 
 def charge_course(
     battery: ConstantEnergy, docked: list[int], intervals: Intervals, part: slice, used_j: Array, knots: Array
-) -> tuple[Array, Array, Array]:
-    """Energy left in a battery [J] that some intervals charge: at even instants, at the end, and the least of all.
+) -> tuple[Array, Array, Array, Array]:
+    """Energy left in a battery [J] that some intervals charge: at even instants, at the end, and the least of all; and
+    by how much it falls at most.
 
     `battery`: with capacities and charges of the runs; `docked`: intervals at a charger that serves it; `used_j`,
     `knots`: energy delivered, and instants between the intervals.
@@ -316,4 +317,4 @@ def charge_course(
             left.append(state)
             times.append(knots[i] + after)
     course = np.array(left)
-    return Progress(np.array(times), PROGRESS_POINTS)(course), course[-1], course.min(axis=0)
+    return Progress(np.array(times), PROGRESS_POINTS)(course), course[-1], course.min(axis=0), greatest_fall(course)

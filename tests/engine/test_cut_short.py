@@ -65,6 +65,13 @@ def test_the_need_is_that_of_the_whole_mission(policy: dict[str, Any]) -> None:
         assert cut(policy, charge).batteries["main"].needed_wh == pytest.approx(1600.0 * 30.0 * WH)
 
 
+def test_the_need_is_what_is_taken_out_after_a_charging_too() -> None:
+    """It was counted below what the mission began with: none where it charges first."""
+    segments = [{"dock": {}}, {"drive": {"to": "end", "speed": 1}}, {"drive": {"to": "dock", "speed": 1}}]
+    result = run(segments, simple(), PLACES, start="dock", initial_charge={"main": 0.2})
+    assert result.batteries["main"].needed_wh == pytest.approx(200.0 * 30.0 * WH)
+
+
 def test_the_need_of_the_battery_that_lasts_counts_the_whole_mission_too() -> None:
     """The small battery ends the mission after 6 minutes of an hour; the large one is asked for the hour's energy."""
     machine = simple(
