@@ -123,7 +123,9 @@ def _law_subject(formula: str, variables: Sequence[str]) -> str:
         (beside if parts else parts).append(f"while {word}" if parts else word)
     for name in variables:
         if name not in ("yaw_rate_rad_s", "accel_m_s2", "slope_rad", "speed_m_s", "heading_rad"):
-            (beside if parts else parts).append(_aspect(name, formula, bool(parts)))
+            # what costs something at every level is no matter of being at one
+            aside = bool(parts) or min(_levels(name, formula).values()) > 0.0
+            (beside if aside else parts).append(_aspect(name, formula, aside))
     if "speed_m_s" in variables and not slow:
         word = "standing still" if standing else "driving"
         if not parts:
@@ -142,7 +144,8 @@ def _quantity(name: str, formula: str) -> str:
 
 
 def _aspect(name: str, formula: str, beside: bool) -> str:
-    levels = re.findall(rf"\({name} == '([^']*)'\)", formula)
+    sizes = _levels(name, formula)
+    levels = [level for level in sizes if level]
     if name.startswith("temp"):
         word = "heat"
         if bound := re.search(rf"max\(([\d.]+) - {name}", formula):
@@ -153,8 +156,11 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     if name.startswith("on_"):
         part = name[3:].replace("_", " ")
         return f"while the {part} is on" if beside else f"the {part}"
-    if levels and beside and _alike(name, formula):
-        return f"({'on' if name == 'surface' else 'with'} {_listed(levels)} hardly otherwise)"
+    on = "on" if name == "surface" else "with"
+    if levels and max(sizes.values()) - min(sizes.values()) < HARDLY * max(sizes.values()):
+        return f"({on} {_listed(levels)} hardly otherwise)"
+    if len(levels) == 1 and min(sizes.values()) > 0.0:
+        return f"({on} {levels[0]} {'most' if sizes[levels[0]] > sizes[''] else 'least'})"
     if len(levels) > 1:
         return f"on {_listed(levels)}, each its own measure," if name == "surface" else f"by {name}"
     if levels:
@@ -168,16 +174,14 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     return f"with {plain(name)}" if beside else plain(name)
 
 
-def _alike(name: str, formula: str) -> bool:
-    """Whether the levels of a label, ``(0.94 + 0.06 * (surface == 'asphalt'))``, hardly differ."""
-    added = rf"[+-] [\d.]+ \* \({name} == '[^']*'\)"
-    found = re.search(rf"\(([\d.]+)((?: {added})+)\)", formula)
-    if found is None:
-        return False
-    base = float(found.group(1))
-    parts = re.findall(r"([+-]) ([\d.]+) \* \(", found.group(2))
-    sizes = [base, *(base + float(sign + size) for sign, size in parts)]
-    return max(sizes) - min(sizes) < HARDLY * max(sizes)
+def _levels(name: str, formula: str) -> dict[str, float]:
+    """Sizes of the levels of a label, ``(0.94 + 0.06 * (surface == 'asphalt'))``; of every other one without a name."""
+    one = rf"([\d.]+) \* \({name} == '([^']*)'\)"
+    if found := re.search(rf"\(([\d.]+)((?: [+-] {one})+)\)", formula):
+        base = float(found.group(1))
+        parts = re.findall(rf"([+-]) {one}", found.group(2))
+        return {"": base} | {level: base + float(sign + size) for sign, size, level in parts}
+    return {"": 0.0} | dict.fromkeys(re.findall(rf"\({name} == '([^']*)'\)", formula), 1.0)
 
 
 def sure(battery: BatteryDiagnosis) -> str:

@@ -416,6 +416,18 @@ def test_how_the_robot_drove_beside_its_plan_is_told_with_its_scheme() -> None:
     assert told.endswith("+2.0 % of the energy")
 
 
+@pytest.mark.parametrize(
+    ("carpet", "told"),
+    [("0.08", "(on carpet hardly otherwise)"), ("0.8", "(on carpet most)"), ("-0.5", "(on carpet least)")],
+)
+def test_what_costs_something_on_every_floor_is_not_being_on_one(carpet: str, told: str) -> None:
+    """A law of 0.92 on tile and 1 on carpet was "Being on carpet while driving"."""
+    size = carpet.lstrip("-")
+    floors = f"(0.92 {'-' if carpet.startswith('-') else '+'} {size} * (surface == 'carpet'))"
+    formula = f"k * tanh(abs(speed_m_s) / 0.43) * {floors}"
+    assert sentences._law_subject(formula, ["speed_m_s", "surface"]) == f"Driving {told}"
+
+
 @pytest.mark.parametrize(("asphalt", "hardly"), [("0.016", True), ("0.06", True), ("0.6", False)])
 def test_levels_that_hardly_differ_are_told_so(asphalt: str, hardly: bool) -> None:
     """Turning at 0.94, 0.956 and 1.00 of one size was "on asphalt and grass, each its own measure"."""
