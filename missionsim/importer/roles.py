@@ -26,7 +26,15 @@ WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words
 """How loggers call things: see the file."""
 
 
-_OF_LOGGERS = {"K": 1.0, "cA": 0.01, "kn": 1852 / 3600, "Ah": 1.0, "mAh": 1e-3, "mdeg/s": 1e-3 * np.pi / 180}
+_OF_LOGGERS = {
+    "K": 1.0,
+    "cA": 0.01,
+    "uV": 1e-6,
+    "kn": 1852 / 3600,
+    "Ah": 1.0,
+    "mAh": 1e-3,
+    "mdeg/s": 1e-3 * np.pi / 180,
+}
 """Units that robot files do not have; pint would be asked for them, which takes half a second to load."""
 
 

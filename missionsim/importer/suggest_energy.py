@@ -76,8 +76,8 @@ def negated(formula: str) -> str:
     return f"-({formula})" if " " in formula else f"-{formula}"
 
 
-_MOST_W = 5000.0
-"""Power beyond which a counter without a unit is hardly in Wh (assumed)."""
+_USUAL_W = (0.5, 5000.0)
+"""Mean powers between which a counter without a unit is perhaps in Wh (assumed)."""
 
 
 def _ask_for_unit(draft: Draft, guess: Guess) -> None:
@@ -86,7 +86,7 @@ def _ask_for_unit(draft: Draft, guess: Guess) -> None:
         return
     counted = float(np.nansum(np.abs(np.diff(without_resets(draft.values(guess.field))[0]))))
     hours = float(np.nanmax(time_s) - np.nanmin(time_s)) / 3600.0
-    if counted > _MOST_W * hours > 0.0:
+    if hours > 0.0 and not _USUAL_W[0] <= counted / hours <= _USUAL_W[1]:
         told = f"'{guess.field}' in Wh would be {counted / hours:.3g} W on average"
         draft.missing.append(f"{told}: write what it counts in (`{{value: …, unit: J}}`)")
 

@@ -358,3 +358,18 @@ def test_units_of_registers(tmp_path: Path) -> None:
     log, _ = suggested(write(tmp_path / "a.csv", head))
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
     assert words_of("Current (12V)")[1] == ""
+
+
+@pytest.mark.parametrize("units", ["V A Ws", "uV uA J"])
+def test_decimal_commas_in_quotes_and_small_units(tmp_path: Path, units: str) -> None:
+    volt, ampere, energy = units.split()
+    size = 1e6 if volt == "uV" else 1.0
+    columns = {"t [s]": T, f"U [{volt}]": VOLTS * size, f"I [{ampere}]": W / VOLTS * size}
+    rows = zip(*columns.values(), strict=True)
+    text = "\n".join(",".join(f'"{x:.3f}"'.replace(".", ",") for x in row) for row in rows)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "a.csv").write_text(",".join(columns) + "\n" + text + "\n")
+    log, _ = suggested(tmp_path / "run" / "a.csv")
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    log, _ = suggested(write(tmp_path / "run" / "b.csv", {"t": T, f"Energy ({energy})": np.cumsum(W) * 0.1}))
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)

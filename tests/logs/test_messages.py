@@ -102,12 +102,13 @@ def test_a_folder_of_what_ros_prints_of_two_topics_is_one_run(tmp_path: Path) ->
     assert imported(tmp_path, folder) == pytest.approx((WH, WAY), rel=0.015)
 
 
-@pytest.mark.parametrize(("size", "asked"), [(3600.0, True), (1000.0, True), (1.0, False)])
+@pytest.mark.parametrize(("size", "asked"), [(3600.0, True), (1000.0, True), (1.0, False), (0.001, True)])
 def test_a_counter_that_does_not_say_what_it_counts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], size: float, asked: bool
 ) -> None:
-    """Joules and milliwatt-hours were taken as watt-hours where these would be too much for any robot."""
-    rows = zip(T, V, size * np.cumsum(50 * W) * 0.5 / 3600.0, strict=True)
+    """Joules and milliwatt-hours were taken as watt-hours where these would be too much for any robot, or
+    kilowatt-hours where they would be too little."""
+    rows = zip(T, V, size * np.cumsum(5 * W) * 0.5 / 3600.0, strict=True)
     (tmp_path / "a.csv").write_text("t,speed,energy\n" + "".join(f"{t},{v:.4f},{e:.6f}\n" for t, v, e in rows))
     assert main(["import", str(tmp_path / "a.csv"), "--suggest", "--out", str(tmp_path / "m.yaml")]) == asked
     assert ("write what it counts in" in capsys.readouterr().err) == asked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -231,6 +232,25 @@ def test_what_tegrastats_prints(tmp_path: Path) -> None:
     text = map_of(tmp_path / "b.log", 1)
     assert "power_robot_w: {value: VDD_IN_mW, unit: mW}" in text
     assert "put their rate in the place of RATE" in text
+
+
+@pytest.mark.parametrize(
+    ("stamp", "line"),
+    [
+        ("{:%H:%M:%S.%f}", " -> V: {:.3f} V, I: {:.1f} mA, v: {:.3f} m/s"),
+        ("{:%Y-%m-%d %H:%M:%S,%f}", " - INFO - V={:.3f}V I={:.1f}mA v={:.3f}"),
+        ("[{:%Y-%m-%dT%H:%M:%S.%f}Z]", " battery.voltage={:.3f} battery.current={:.1f}mA speed={:.3f}"),
+    ],
+)
+def test_names_with_numbers_in_each_line(tmp_path: Path, stamp: str, line: str) -> None:
+    """A serial monitor and the like: they had been tables without a header, or refused."""
+    start = datetime(2024, 11, 23, 13, 10, 40)
+    rows = zip(T.tolist(), loggers.power(T), loggers.speed(T), strict=True)
+    made = [stamp.format(start + timedelta(seconds=t)) + line.format(25, 40 * w, v) for t, w, v in rows]
+    (tmp_path / "a.txt").write_text("\n".join(["INA226 found: address=0x40", *made]) + "\n")
+    log = suggested(tmp_path, tmp_path / "a.txt")
+    assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    assert log.number("speed_m_s").max() == pytest.approx(loggers.speed(T).max(), rel=0.01)
 
 
 def test_what_ros_prints_of_a_topic(tmp_path: Path) -> None:

@@ -280,9 +280,9 @@ def _delimiter(header: str, body: list[str]) -> str:
 
 
 def _decimal(body: list[str], delimiter: str) -> str:
-    if delimiter == ",":
-        return "."
     cells = [cell.strip() for row in csv.reader(body, delimiter=delimiter) for cell in row]
+    if delimiter == ",":  # in quotes; ``"38,000"`` has a mark of thousands
+        cells = [cell for cell in cells if not re.fullmatch(r"[+-]?[1-9]\d{0,2}(,\d{3})+", cell)]
     with_comma = sum(bool(_COMMA_NUMBER.match(cell)) for cell in cells)
     with_point = sum(bool(re.match(r"^[+-]?\d*\.\d+$", cell)) for cell in cells)
     return "," if with_comma > with_point else "."

@@ -1,7 +1,9 @@
-"""What programs print, kept in a file: ``tegrastats`` of a Jetson, messages of ``ros2 topic echo``."""
+"""What programs print, kept in a file: ``tegrastats`` of a Jetson, messages of ``ros2 topic echo``, names with numbers
+after a time, as of a serial monitor."""
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -89,11 +91,49 @@ def read_echo(path: Path, options: Options) -> Recording:
     )
 
 
+_CLOCK = r"(?:\d{4}[-/]\d\d[-/]\d\d[ T])?\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"
+_STAMP = rf"\[?({_CLOCK}|\d{{9,13}}(?:\.\d+)?)\]?[^\w,;\t]"
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_LABELLED = rf"(?<![\w.])([A-Za-z_][\w.]*)(?:: ?|=)({_NUMBER}) ?(%|[A-Za-zµ°/]{{1,5}})?(?=[\s,;|)\]]|\Z)"
+
+
+def read_labelled(path: Path, _options: Options) -> RawTable:
+    """What stands in each line as a name with its number, ``12:00:01 -> U: 25.1 V, I=832 mA``, after the line's time.
+    Raises InputError: no such line."""
+    rows: list[dict[str, float]] = []
+    stamps: list[str] = []
+    numbers: list[int] = []
+    others = 0
+    with open(path, encoding="utf-8-sig", errors="replace") as handle:
+        for number, line in enumerate(handle, start=1):
+            stamp = re.match(_STAMP, line)
+            found = re.findall(_LABELLED, line[stamp.end() :]) if stamp else []
+            if stamp is None or not found:
+                others += bool(line.strip())
+                continue
+            rows.append({f"{name} [{unit}]" if unit else name: float(value) for name, value, unit in found})
+            stamps.append(stamp[1].replace(",", "."))
+            numbers.append(number)
+    if not rows:
+        raise InputError(Fault(str(path), 1, 1, "no line with a time and names", allowed="12:00:01 U: 25.1 V, I: 3 A"))
+    columns: dict[str, ColumnData] = {"time": Labels.of(stamps)}
+    columns |= {
+        name: np.array([row.get(name, np.nan) for row in rows]) for name in dict.fromkeys(itertools.chain(*rows))
+    }
+    remarks = []
+    if others:
+        told = f"{others} lines have no time with names and numbers after it"
+        remarks.append(Remark("format", "", told, "they were left out", "note", 0, others))
+    return RawTable(str(path), columns, lambda row: numbers[row] if row >= 0 else 0, remarks, names=tuple(columns))
+
+
+_LABELLED_BEGIN = re.compile(rf"(?:[^\n]*\n){{0,9}}?{_STAMP}[^\n]*?{_LABELLED}[^\n]*?{_LABELLED}".encode())
 _STATS_BEGIN = re.compile(rb"(?:[^\n]{1,40}\n)?(?:\d\d-\d\d-\d{4} \d\d:\d\d:\d\d )?RAM \d+/\d+MB ")
 _ECHO_BEGIN = re.compile(rb"header:\s*\n(?:  seq: \d+\s*\n)?  stamp:")
 
 
 READERS = (
+    Reader("labelled", "log of names and numbers", (), table=read_labelled, like=_LABELLED_BEGIN),
     Reader("tegrastats", "tegrastats log", (), table=read_tegrastats, like=_STATS_BEGIN),
     Reader("echo", "file of echoed messages", (), recording=read_echo, like=_ECHO_BEGIN),
 )
