@@ -234,17 +234,19 @@ class _Search:
             if tried is None:
                 return None
             answer, run = tried.answer, tried.run
+            begins = np.cumsum([0.0, *(leg.duration_s for leg in answer.legs)])
+            charged = max(begins[1:][[leg.kind == "charge" for leg in answer.legs]], default=0.0)
             # what each battery lacks at the end and on the way, and the time
             end, way = [], []
             for b, (name, battery) in enumerate(run.batteries.items()):
                 lacks, empty = battery.reserve_required_wh - battery.charge_left_wh, battery.empty_at_s is not None
-                end.append(0.0 if empty else lacks)
-                way.append(max(battery.deficit_wh, 0.0) if empty else 0.0)
+                end.append(0.0 if (battery.empty_at_s or charged) < charged else lacks)
+                # below its cut-off a circuit is empty with charge in it
+                way.append(battery.deficit_wh + max(battery.charge_left_wh, 0.0) if empty else 0.0)
                 if within.reserve_throughout:
                     lowest = float(np.min(run.charge_wh[name], initial=battery.charge_left_wh))
                     way[-1] = max(way[-1], float(site.physics.reserve_wh[b]) - lowest)
             short = np.maximum([*end, *way, answer.duration_s - site.deadline_s * (1.0 + SAME)], 0.0)
-            begins = np.cumsum([0.0, *(leg.duration_s for leg in answer.legs)])
             windows = [None if leg.visit is None else site.task.visits[leg.visit].window for leg in answer.legs]
             missed = any(
                 window is not None and window.until is not None and begin > window.until.value * (1.0 + SAME) + SAME
@@ -254,7 +256,8 @@ class _Search:
                 return answer, run
             if answer.stopped or not short.any():
                 return None
-            margins = margins + short * (1.0 + SAME)
+            # more than lacked, each time: a margin costs charge itself, and would only come near what is enough
+            margins = margins + short * (1.0 + SAME + 0.1 * attempt)
         return None
 
     def sure(self, asked: float) -> tuple[Answer, RunResult] | None:

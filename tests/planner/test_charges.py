@@ -255,3 +255,28 @@ def test_the_battery_that_would_do_is_charged_on_the_way(tmp_path: Path) -> None
     (change,) = [c for c in explain(make_site(load_task(_ring(tmp_path, 1.9))))["would_do"] if "battery" in c["text"]]
     assert 2.0 <= change["to"] <= 2.0 * 1.006
     assert plan_task(load_task(_ring(tmp_path, change["to"])))[0].feasible
+
+
+@pytest.mark.parametrize(("start", "reserve"), [(0.5, 0.2), (1.0, 0.75)])
+def test_what_a_battery_loses_inside_is_charged_for(start: float, reserve: float, tmp_path: Path) -> None:
+    """No plan was said to be: where the voltage fell below the cut-off with charge in the battery no margin was made,
+    and margins for a level at the end crept up to what is enough."""
+    model = {"kind": "equivalent_circuit", "resistance": 0.6, "peukert": 1.1, "rated_time": "10 h", "cut_off": 19.0}
+    model["open_circuit_voltage"] = [[0, 20.0], [0.1, 22.5], [0.8, 25.2], [1, 26.4]]
+    drive = {"capacity": "2 Ah", "nominal_voltage": "24 V", "max_charge_power": 80.0, "model": model}
+    task = {
+        "start": "p0",
+        "visits": [{"place": "p1", "wait": 20.0}, {"place": "p0", "wait": 1.0}],
+        "initial_charge": {"drive": start},
+        "within": {"reserve": {"drive": reserve}},
+        "choose": {"speeds": [0.8], "schemes": ["quick"], "docks": "all", "charge": "any"},
+        "least": "time",
+    }
+    task["visits"] += [{**visit, "name": f"again_{visit['place']}"} for visit in task["visits"]]
+    robot = {**ROBOT, "batteries": {"drive": drive, "brain": {"capacity": 80.0}}}
+    path = _files(tmp_path, _line({"power": 100.0, "batteries": ["drive"]}, None, length=320.0), task, robot)
+    answer, run = plan_task(load_task(path, [("order", "given")]))
+    assert answer.feasible
+    assert run is not None
+    assert run.feasible
+    assert run.batteries["drive"].charge_left_wh < 1.03 * run.batteries["drive"].reserve_required_wh
