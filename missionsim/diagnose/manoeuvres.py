@@ -89,18 +89,21 @@ class Site:
     choices: Mapping[str, tuple[str, ...]]
     """Texts seen in each text column."""
     max_speed_m_s: float
+    """What it may try: half as fast again as it drove, which v² and v³ are told apart by."""
     max_yaw_rate_rad_s: float
     acceleration_m_s2: float
     components: Mapping[str, int]
     """Most units of each component that was logged."""
     _: KW_ONLY
+    driven_m_s: float
+    """The fastest that it drove here."""
     curvature_1_m: float = np.inf
     """The sharpest curve that it can drive; without a limit it turns on the spot."""
 
     @property
     def cruise_m_s(self) -> float:
         """An ordinary speed: two thirds of the fastest, at most 0.5 m/s where the robot is faster than that."""
-        return round(min(0.67 * self.max_speed_m_s, max(0.5, 0.5 * self.max_speed_m_s)), 2)
+        return round(min(0.67 * self.driven_m_s, max(0.5, 0.5 * self.driven_m_s)), 2)
 
 
 def sharpest(covariates: Sequence[Covariates]) -> float:
@@ -133,7 +136,7 @@ def site_of(covariates: Sequence[Covariates], most: Mapping[str, float]) -> Site
             joined = np.concatenate([np.atleast_1d(np.asarray(value, dtype=float)) for value in values])
             usual[name] = float(np.median(joined))
             low[name], high[name] = (float(x) for x in np.percentile(joined, [0.5, 99.5]))
-    fastest = min(most.get("speed_m_s", np.inf), 1.1 * high.get("speed_m_s", np.inf))
+    driven, fastest = (min(most.get("speed_m_s", np.inf), f * high.get("speed_m_s", np.inf)) for f in (1.1, 1.5))
     spin = min(most.get("yaw_rate_rad_s", 1.0), max(1.2 * high.get("yaw_rate_rad_s", 1.0), 0.2))
     ramp = USUAL_RAMP * min(high.get("accel_m_s2", 0.0), -low.get("accel_m_s2", 0.0))
     components = {name[3:]: max(1, round(high[name])) for name in filter(is_switch, high)}
@@ -146,6 +149,7 @@ def site_of(covariates: Sequence[Covariates], most: Mapping[str, float]) -> Site
         spin,
         most.get("accel_m_s2", ramp if ramp > 0.0 else DEFAULT_ACCELERATION_M_S2),
         components,
+        driven_m_s=driven if np.isfinite(driven) else 0.5,
         curvature_1_m=most.get(CURVATURE, np.inf),
     )
 

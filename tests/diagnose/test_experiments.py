@@ -70,6 +70,17 @@ def test_only_what_the_place_has_is_proposed() -> None:
     assert names["tile and carpet"].do == "drive tile then carpet at 0.37 m/s without payload, level, 90 s each"
 
 
+@pytest.mark.parametrize(("limit", "times"), [(9.0, 1.5), (0.6, None)])
+def test_speeds_are_tried_beyond_what_was_driven_within_the_robots_limit(limit: float, times: float | None) -> None:
+    columns = covariates()
+    driven = float(np.percentile(np.asarray(columns["speed_m_s"]), 99.5))
+    site = site_of([columns], {**LIMITS, "speed_m_s": limit})
+    sweep = next(one for one in library(site) if one.name == "speed sweep")
+    fastest = max(sweep.parts[0].speeds_m_s)
+    assert fastest == pytest.approx(0.95 * (limit if times is None else times * driven), abs=1e-3)
+    assert site.cruise_m_s <= driven
+
+
 def test_a_script_keeps_the_robots_limits_and_the_length() -> None:
     rich = covariates(payload_kg=np.repeat([0.0, 5.0], 100), surface=Labels.of(["tile"] * 120 + ["carpet"] * 80))
     site = site_of([rich], LIMITS)
