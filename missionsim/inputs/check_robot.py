@@ -9,10 +9,15 @@ from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.inputs.parameter import Parameter
-from missionsim.inputs.robot import RobotSpec, SchemeSpec
+from missionsim.inputs.robot import LawSpec, RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Where
 from missionsim.inputs.units import same_dimension
 from missionsim.inputs.validation import Checker
+
+
+def law_parameters(law: LawSpec) -> dict[str, Parameter]:
+    """Numbers of a law, its rate among them."""
+    return law.parameters if law.rate is None else {**law.parameters, "rate": law.rate}
 
 
 def check_robot(robot: RobotSpec) -> list[Fault]:
@@ -59,8 +64,10 @@ def _components(check: Checker, robot: RobotSpec) -> None:
                 if link is not None and link.battery != load.battery and fed:
                     message = f"link '{load.through}' is fed by another battery"
                     check.add((*at, "battery"), message, load.battery, link.battery)
+            own = {} if law is None else law_parameters(law)
+            if law is not None and law.rate is not None and "rate" in law.parameters:
+                check.add((*at, "law", "rate"), "a rate beside a parameter 'rate'", "both", "one of them", key=True)
             if law is not None and law.power is not None:
-                own = {**law.parameters, **({"rate": law.rate} if law.rate is not None else {})}
                 check.formulas({(*at, "law", "power"): law.power}, own)
             elif law is not None and law.model is not None:
                 from missionsim.effects.named_models import law_models
@@ -68,7 +75,7 @@ def _components(check: Checker, robot: RobotSpec) -> None:
                 laws = law_models()
                 if check.known((*at, "law", "model"), law.model, laws, "law"):
                     specs = laws[law.model].parameters
-                    _parameters(check, (*at, "law"), law.parameters, specs, f"law '{law.model}'")
+                    _parameters(check, (*at, "law"), own, specs, f"law '{law.model}'")
         if component.relay is not None:
             check.named((*where, "relay"), component.relay, "switchboards", "switchboard")
         for index, other in enumerate(component.requires):

@@ -17,6 +17,7 @@ from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.named_models import get_motion_model, law_models
 from missionsim.errors import Fault, did_you_mean
 from missionsim.expressions import Place, compile_expression
+from missionsim.inputs.check_robot import law_parameters
 from missionsim.inputs.mission import RobotAtSite
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
@@ -187,16 +188,14 @@ def _load(
     assert law is not None  # the file was checked: a load has either
     if law.model is not None:
         model = law_models()[law.model]
-        given = _complete(law.parameters, model.parameters)
+        given = _complete(law_parameters(law), model.parameters)
         column = "" if component.always_on else f"on_{name}"
         effect = base_terms.load_term(
             "law", name, model.equation, "robot file", "by its law", model.parameters, model.power, column, model.needs
         )
         return replace(effect, place=place), given
     formula = compile_expression(law.power or "", **place._asdict())
-    given = {key: model_parameter(p) for key, p in law.parameters.items()}
-    if law.rate is not None:
-        given["rate"] = model_parameter(law.rate)
+    given = {key: model_parameter(p) for key, p in law_parameters(law).items()}
     specs = tuple(ParameterSpec(key, p.unit, low=p.low, high=p.high) for key, p in given.items())
     return replace(base_terms.law_term(name, formula, specs, component.always_on), place=place), given
 

@@ -54,6 +54,17 @@ def test_a_relay_is_closed_while_what_hangs_on_it_starts() -> None:
     assert list(result.energy_j["main"]["board"]["board"]) == pytest.approx([0.5 * 10, 3.0 * 3, 3.0 * 10])
 
 
+def test_the_rate_of_a_law_is_one_of_its_numbers() -> None:
+    """Beside a registered law it was read by nothing, and said to be missing."""
+    law = {"model": "sampled_sensor", "rate": "5 Hz", "parameters": {"per_rate": 0.2, "constant": 0.4}}
+    segments = [{"wait": {"duration": 10, "sensors": {"radio": 1}}}]
+    result = run(segments, robot(components__radio__loads=[{"battery": "aux", "law": law}]))
+    assert float(result.energy_j["aux"]["radio"]["radio"].sum()) == pytest.approx(10 * (0.2 * 5 + 0.4))
+    law["parameters"] = {"per_rate": 0.2, "rate": 4}
+    with pytest.raises(InputError, match="a rate beside a parameter 'rate'"):
+        run(segments, robot(components__radio__loads=[{"battery": "aux", "law": law}]))
+
+
 def test_requirements_come_first_one_after_the_other() -> None:
     machine = robot(
         components__camera__startup=STARTING,
