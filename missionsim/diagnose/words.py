@@ -39,7 +39,7 @@ def headline(battery: BatteryDiagnosis, several: bool = False) -> str:
     if driven := [_execution(f) for f in battery.execution]:
         said.append(f"The robot drove otherwise than planned: {'; '.join(driven)}.")
     for law in battery.proposed_laws:
-        fits = "no effect of the library fits"
+        fits = f"{law.like} acts so, and is not sure by itself" if law.like else "no effect of the library fits"
         if law.instead_of:
             fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
         if law.open:

@@ -140,6 +140,8 @@ class Proposal:
     """Quantities that it may follow as well, since they hardly change where it acts."""
     effect: str = ""
     """That of the library which it is, seen and not named: no other form does better."""
+    like: str = ""
+    """That of the library which acts in this way, if the base is fitted anew; not named."""
     heldout_rmse_w: tuple[float, float] | None = None
     heldout_energy_pct: tuple[float, float] | None = None
     """Both: errors of runs that nothing was fitted to."""
@@ -194,4 +196,5 @@ class Proposal:
             "experiment": self.experiment,
             "instead_of": list(self.instead_of),
             "goes_with": list(self.goes_with),
+            "like": self.like,
         }

@@ -216,6 +216,7 @@ def _propose(
         experiment=experiment(laws, curve, possible, found.noise, most),
         instead_of=instead,
         effect=_twin(fitted, ground, found, SAME),
+        like=_twin(fitted, ground, found, recalibrated=True),
         goes_with=_goes_with(fitted, search),
     )
     return made, fitted, ground
@@ -303,11 +304,20 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[tuple[str, ...], Searched
     return tuple(out), looked.get(tuple(out))
 
 
-def _twin(fitted: Fitted, ground: Ground, found: Identification, alike: float = TWIN) -> str:
-    """The effect of the library whose column is the law's own, or almost."""
-    x = fitted.watts - np.mean(fitted.watts)
-    for phi, column in zip(ground.design.phi, ground.design.layout.columns, strict=True):
-        if column.candidate >= 0 and _likeness(x, phi - np.mean(phi)) > alike:
+def _twin(
+    fitted: Fitted, ground: Ground, found: Identification, alike: float = TWIN, recalibrated: bool = False
+) -> str:
+    """The effect of the library whose column is the law's own, or almost; or would be if the base were recalibrated."""
+    design = ground.design
+    known = design.gradient if recalibrated else np.ones((1, len(design.y)))
+    basis = np.linalg.svd(known.T, full_matrices=False)[0]
+
+    def beside(column: Array) -> Array:
+        return np.asarray(column - basis @ (basis.T @ column))
+
+    x = beside(fitted.watts)
+    for phi, column in zip(design.phi, design.layout.columns, strict=True):
+        if column.candidate >= 0 and _likeness(x, beside(phi)) > alike:
             return str(found.library[column.candidate].effect)
     return ""
 

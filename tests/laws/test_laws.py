@@ -15,7 +15,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.diagnose import sentences
 from missionsim.diagnose.proposed import formula_of, with_candidate
-from missionsim.diagnose.words import stopped
+from missionsim.diagnose.words import headline, stopped
 from missionsim.effects.base_terms import expression_term
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
@@ -27,6 +27,7 @@ from missionsim.laws import proposal
 from missionsim.laws.experiment import experiment
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.grammar import Grammar, unit_of
+from tests.diagnose.test_words import BATTERY
 
 from .study import diagnose, held_by_band, judge
 from .world import LAWS, Made, make
@@ -268,6 +269,14 @@ def test_a_law_whose_quantity_is_open_is_not_added(
         f"{plain(first[-1])} or {plain(other[-1])}, so it is not added. Next: 3 min at" in stopped(last, ())
     ) is undecided
     assert ("add-effect" in sentences.next_step(last, sentences.Asked("robot.yaml", ["train"]))) is not undecided
+
+
+@pytest.mark.parametrize(
+    ("like", "told"),
+    [("grade", "; grade acts so, and is not sure by itself."), ("", "; no effect of the library fits.")],
+)
+def test_a_law_that_acts_as_an_effect_does_is_told_so(like: str, told: str) -> None:
+    assert told in headline(replace(BATTERY, effects=(), proposed_laws=(law(like=like),)))
 
 
 @pytest.mark.parametrize(

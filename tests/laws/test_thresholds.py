@@ -66,9 +66,23 @@ def at_an_angle(r: float, rows: int = 600) -> np.ndarray:
 def test_a_law_whose_column_is_an_effects_looks_like_it(r: float, twin: str) -> None:
     law, phi = at_an_angle(r)
     layout = SimpleNamespace(columns=[SimpleNamespace(candidate=0)])
-    ground = SimpleNamespace(design=SimpleNamespace(phi=phi[None], layout=layout))
+    ground = SimpleNamespace(design=SimpleNamespace(phi=phi[None], layout=layout, y=law))
     found = SimpleNamespace(library=[SimpleNamespace(effect="grade")])
     assert proposal._twin(SimpleNamespace(watts=law), ground, found) == twin
+
+
+@pytest.mark.parametrize(("bound", "twin"), [(19.0, "temperature_friction"), (5.0, "")])
+def test_a_law_that_is_an_effect_but_for_the_base_looks_like_it(bound: float, twin: str) -> None:
+    """Cold below 19 degC is cold below 25 degC and less friction; it was "no effect of the library fits"."""
+    rng = np.random.default_rng(2)
+    speed, temp = rng.uniform(0.0, 1.0, 400), rng.uniform(0.0, 18.0, 400)
+    layout = SimpleNamespace(columns=[SimpleNamespace(candidate=0)])
+    phi = speed * (25.0 - temp)
+    design = SimpleNamespace(phi=phi[None], layout=layout, y=speed, gradient=np.array([speed, np.ones(400)]))
+    fitted, ground = SimpleNamespace(watts=speed * np.maximum(bound - temp, 0.0)), SimpleNamespace(design=design)
+    found = SimpleNamespace(library=[SimpleNamespace(effect="temperature_friction")])
+    assert proposal._twin(fitted, ground, found) == ""
+    assert proposal._twin(fitted, ground, found, recalibrated=True) == twin
 
 
 @pytest.mark.parametrize(("r", "count"), [(0.97, 2), (0.985, 1)])
@@ -168,7 +182,7 @@ def found_at_once(monkeypatch: pytest.MonkeyPatch, grammar: Grammar) -> SimpleNa
         ("_twin", ""),
         ("_goes_with", ()),
     ):
-        monkeypatch.setattr(proposal, name, lambda *_, answer=answer: answer)
+        monkeypatch.setattr(proposal, name, lambda *_, answer=answer, **__: answer)
     return fitted
 
 
