@@ -240,11 +240,14 @@ def _from_way(draft: Draft) -> bool:
     """The speed as the rate of an odometer, or of positions, without its sign; whether there are such."""
     for guess in draft.best("distance", 0.5) if draft.direct else ():
         values = draft.values(guess.field)
-        if (np.diff(values[np.isfinite(values)]) >= 0).mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
+        grows = np.diff(values[np.isfinite(values)]) >= 0
+        if grows.mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
             factor = size_of(guess.unit)
             ref = draft.ref(guess.field, "way") + (f" * {factor:g}" if factor != 1.0 else "")
             told = replace(guess, unit="", sure="likely", why=f"rate of '{guess.field}', without its sign")
-            draft.columns["speed_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
+            rate = "speed_m_s" if grows.all() else "_way_m_s"  # a counter that wraps, or begins anew
+            draft.columns[rate] = (f"{{differentiate: {ref}, average: 1 s}}", told)
+            draft.columns.setdefault("speed_m_s", ("max(_way_m_s, 0)", told))
             return True
     if (path := path_of(draft)) is not None:
         told = replace(path[0][0], unit="", sure="likely", why="rate of the positions, without its sign")
@@ -254,7 +257,14 @@ def _from_way(draft: Draft) -> bool:
             draft.columns[f"_v{axis}_m_s"] = (f"{{differentiate: {metres}, average: 1 s}}", told)
             draft.column(f"{axis}_m", ref, guess)
         draft.column("speed_m_s", "hypot(_vx_m_s, _vy_m_s)", told)
+        rows = draft.fields.get(draft.signals.get(draft.head.get("timeline", "").split(" ")[0], ""))
+        if rows is not None and rows.time_s is not None and (step := float(np.median(np.diff(rows.time_s)))) > _BEND_S:
+            draft.remarks.append(f"the speed is that between positions {step:.3g} s apart: bends are cut short")
     return path is not None
+
+
+_BEND_S = 2.0
+"""Time in which a robot drives a good part of a bend (assumed)."""
 
 
 def _attitude(draft: Draft, speed: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command as main
+from missionsim.importer.suggest import suggest_map
 from missionsim.logs import read_log
 from tests.logs import loggers
 
@@ -133,3 +134,23 @@ def test_tables_that_influx_writes_one_under_the_other(tmp_path: Path) -> None:
     ]
     (tmp_path / "a.csv").write_text("\n".join(blocks))
     assert imported(tmp_path, tmp_path / "a.csv") == pytest.approx((WH, WAY), rel=0.015)
+
+
+def test_a_way_whose_number_wraps(tmp_path: Path) -> None:
+    """Each wrap of the counter had been 65 m in a second."""
+    way = np.round(1000 * np.cumsum(V) * 0.5 + 60_000) % 65_536
+    rows = "".join(f"{t},{w:.4f},{x:.0f}\n" for t, w, x in zip(T, W, way, strict=True))
+    (tmp_path / "a.csv").write_text(f"t,power_w,odo_mm\n{rows}")
+    assert imported(tmp_path, tmp_path / "a.csv")[1] == pytest.approx(WAY, rel=0.05)
+
+
+def test_positions_that_lie_far_apart_are_told(tmp_path: Path) -> None:
+    (tmp_path / "run_pose.csv").write_text(
+        "t,x,y\n" + "".join(f"{t},{3 * np.cos(t / 9):.4f},{3 * np.sin(t / 9):.4f}\n" for t in T)
+    )
+    rows = zip(T[::20], W[::20], strict=True)
+    (tmp_path / "run_battery.csv").write_text(
+        "t,voltage,current\n" + "".join(f"{t},25,{w / 25:.4f}\n" for t, w in rows)
+    )
+    made = suggest_map([tmp_path / "run_pose.csv", tmp_path / "run_battery.csv"])
+    assert any("positions 10 s apart" in told for told in made.remarks)
