@@ -42,6 +42,8 @@ class Reached:
     """And so in the share of draws that is asked."""
     plan: Answer
     """There and back; where the charge does not suffice, the one that takes least of it."""
+    left_wh: dict[str, float]
+    """What each battery then holds; less than nothing where it does not suffice."""
     holds: dict[str, float] = field(default_factory=dict)
     """Share of the draws in which it does (``value``, ``low``, ``high``, ``runs``)."""
     turn: dict[str, Any] | None = None
@@ -95,27 +97,35 @@ def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] 
         out = task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)})
         site = make_site(out, physics=physics)
         names = site.physics.names
-        plan: Answer | None = solve_site(site)
+        first = solve_site(site)
+        plan = first if first.feasible else _least(site)
+        if plan is None:
+            done()
+            continue
+        plan, run = as_run(plan)
         holds: dict[str, float] = {}
         turn = None
-        if plan is not None and plan.feasible:
+        inside = np.array([b.internal_loss_wh / max(b.energy_wh, 1e-9) for b in run.batteries.values()])
+        if first.feasible and run.feasible:  # else it lacks what the search leaves out
             holds = told(site, draws_of(plan, SEED))
-        elif (plan := _least(site)) is not None:
+        else:
             # by how much more than planned each battery gives in all but the rarest draws, relative; as if they were
             # bottomless: what is drawn, not when it ends
             bottomless = [(f"robot.batteries.{name}.capacity", "100000 Wh") for name in names]
             ample = plan.site.task.model_copy(update={"overrides": (*plan.site.task.overrides, *bottomless)})
             columns = draws_of(replace(plan, site=replace(plan.site, task=ample)), SEED)
             each = 1.0 - (1.0 - probability) / len(names)
-            used = np.array([float(np.nanquantile(columns[f"energy_{name}_wh"], each)) for name in names])
-            more = np.maximum(used / np.maximum([plan.energy_wh[name] for name in names], 1e-9) - 1.0, 0.0)
-            if (turn := _turn(site, plan, np.zeros(len(names)))) is not None:
-                sure = _turn(site, plan, more)
+            drawn = np.array([float(np.nanquantile(columns[f"energy_{name}_wh"], each)) for name in names])
+            more = np.maximum(drawn / np.maximum([plan.energy_wh[name] for name in names], 1e-9) - 1.0, 0.0)
+            if (turn := _turn(site, plan, inside)) is not None:
+                sure = _turn(site, plan, (1.0 + more) * (1.0 + inside) - 1.0)
                 turn["sure_metres"], turn["sure_edge"] = (0.0, None) if sure is None else (sure["metres"], sure["edge"])
-        if plan is not None:
-            warnings = as_run(plan)[1].warnings
-            certain = bool(holds) and holds["value"] >= probability
-            found.append(Reached(place, bool(holds), certain, plan, holds, turn, warnings))
+        used = np.array(list(plan.energy_wh.values())) * (1.0 + inside)
+        left = physics.by_name(physics.initial_wh - used)
+        if run.completed:
+            left = {name: battery.charge_left_wh for name, battery in run.batteries.items()}
+        certain = bool(holds) and holds["value"] >= probability
+        found.append(Reached(place, bool(holds), certain, plan, left, holds, turn, run.warnings))
         done()
     return found
 
@@ -215,8 +225,7 @@ def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> Jso
     places = {}
     for item in found:
         plan, physics = item.plan, item.plan.site.physics
-        reserve, initial = physics.by_name(physics.reserve_wh), physics.by_name(physics.initial_wh)
-        left = {name: initial[name] - plan.energy_wh[name] for name in reserve}
+        reserve = physics.by_name(physics.reserve_wh)
         places[item.place] = {
             "reachable": item.reachable,
             "sure": item.sure,
@@ -224,8 +233,8 @@ def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> Jso
             "way": [task.start, *(leg.place for leg in plan.legs if leg.piece is not None)],
             "duration_s": plan.duration_s,
             "energy_wh": plan.energy_wh,
-            "charge_left_wh": left,
-            "margin_wh": {name: left[name] - reserve[name] for name in reserve},
+            "charge_left_wh": item.left_wh,
+            "margin_wh": {name: item.left_wh[name] - reserve[name] for name in reserve},
             "point_of_no_return": item.turn,
         }
     return {

@@ -149,9 +149,8 @@ def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reach
     for item in found:
         assert item.plan is not None
         physics = item.plan.site.physics
-        left = {name: wh - item.plan.energy_wh[name] for name, wh in physics.by_name(physics.initial_wh).items()}
         if item.reachable:
-            charges[item.place] = "home with " + _percent(left, physics.by_name(physics.capacity_wh))
+            charges[item.place] = "home with " + _percent(item.left_wh, physics.by_name(physics.capacity_wh))
         if item.turn is not None:
             length = environment.length_m(environment.edges[item.turn["edge_index"]]) or 1.0
             share = item.turn["metres"] / length

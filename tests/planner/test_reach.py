@@ -87,6 +87,29 @@ edges:
 """
 
 
+@pytest.mark.parametrize(("capacity", "reachable"), [(1.0, True), (0.8, False)])
+def test_what_a_battery_loses_inside_brings_nobody_home(tmp_path: Path, capacity: float, reachable: bool) -> None:
+    """A place was in reach by what the terminals deliver, while no run came back with its reserve."""
+    model = {"kind": "equivalent_circuit", "open_circuit_voltage": [[0, 20], [1, 26]], "resistance": 1.0}
+    robot = {
+        **{"kind": "robot", "name": "r", "body": {"drive": "differential", "max_speed": 1}},
+        "batteries": {"main": {"capacity": f"{capacity} Ah", "nominal_voltage": "24 V", "model": model}},
+        "motion": {"battery": "main", "model": "polynomial", "parameters": {"c2": 0, "c3": 50, "c4": 10}},
+        "schemes": {"follow": {}},
+    }
+    site = {"kind": "environment", "name": "s", "places": {"hall": {"x": 0, "y": 0}, "far": {"x": 540, "y": 0}}}
+    site["edges"] = [{"from": "hall", "to": "far"}]
+    for name, data in (("robot", robot), ("site", site)):
+        (tmp_path / f"{name}.yaml").write_text(json.dumps(data))
+    words = ["reach", str(tmp_path / "site.yaml"), "--robot", str(tmp_path / "robot.yaml"), "--from", "hall"]
+    target = tmp_path / "reach.json"
+    run_command([*words, "--set", "choose.speeds=[1]", "--json", str(target), "--quiet"])
+    found = json.loads(target.read_text())["places"]["far"]
+    assert found["reachable"] == reachable
+    assert 24 * capacity - found["energy_wh"]["main"] > found["margin_wh"]["main"] + 1.0
+    assert (found["point_of_no_return"] is None) == reachable
+
+
 def test_before_an_edge_that_leads_one_way_the_robot_must_turn_back(root: Path, tmp_path: Path) -> None:
     """And only where no other way from its end leads home."""
     site, turns = tmp_path / "site.yaml", {}
