@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 WHOLE = r"\b(battery|batt?|bus|pack|system|total|robot|main|input)\b"
 """A meter of all that a battery feeds."""
 _NO_METER = r"\b(limit|max|min|target|set ?point|charg\w*|solar|dock|rated|nominal)\b"
+_CONVERTER = r"\b(in|out|input|output|primary|secondary|prim|sec)\b"
+"""Of its two sides one feeds the other."""
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 _LETTERS = {"voltage": r"volt(age|s)?", "current": r"current|amps?"}
 
@@ -64,7 +66,7 @@ def from_meters(draft: Draft, pair: tuple[Guess, Guess]) -> list[str]:
     chosen, pairs = (pair[0].field, pair[1].field), _pairs(draft)
     words = [f"{words_of(volts)[0]} {words_of(amps)[0]}" for volts, amps in pairs]
     more = [one for one, called in zip(pairs, words, strict=True) if not re.search(_NO_METER, called)]
-    whole = not _stem(chosen[0], "voltage") or any(re.search(WHOLE, called) for called in words)
+    whole = not _stem(chosen[0], "voltage") or any(re.search(f"{WHOLE}|{_CONVERTER}", called) for called in words)
     if not draft.direct or chosen not in more or len(more) < 2 or whole:
         return []
     told = ", ".join(f"'{_stem(volts, 'voltage')}'" for volts, _ in more)

@@ -339,6 +339,11 @@ def test_meters_of_parts_are_added_up_with_a_question(tmp_path: Path) -> None:
     parts |= {"motor_voltage": 0 * T + 24.0, "motor_current": (watts - 6.0) / 24.0}
     log, _ = suggested(write(tmp_path / "a.csv", {"t": T} | parts), code=1)
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
+    sides = {
+        f"{side}_{what}": 0 * T + 5.0 for side in ("in", "out") for what in ("voltage", "current")
+    }  # of a converter
+    log, _ = suggested(write(tmp_path / "c.csv", {"t": T} | sides))
+    assert log.energy_wh("robot") == pytest.approx(25.0 * loggers.LENGTH_S / 3600.0, rel=0.01)
     whole = {"battery_voltage": 0 * T + 24.0, "battery_current": watts / 24.0}
     log, _ = suggested(write(tmp_path / "b.csv", {"t": T} | parts | whole))
     assert log.energy_wh("robot") == pytest.approx(WH, rel=0.01)
