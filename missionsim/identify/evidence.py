@@ -200,16 +200,25 @@ def cause_is_constant(model: Model, column: int) -> bool:
     return within < BETWEEN_PART * float(np.nansum((every - np.nanmean(every)) ** 2))
 
 
-def rests_on_one_run(model: Model, column: int) -> bool:
-    """Whether hardly anything speaks for a column once the run that says most for it is left out."""
+def cause_changes_in(model: Model, column: int) -> NDArray[np.bool_]:
+    """In which runs what an effect depends on changes by what is much over all, shape (runs,): one drive with the cold
+    in it shows what no two do that differ in more."""
+    name = model.constraints.of_column(column).covariate
+    values = [np.asarray(run.covariates.get(name, 0.0), dtype=float) for run in model.source.runs]
+    least = BETWEEN_PART * np.nanvar(np.concatenate([np.atleast_1d(value) for value in values]))
+    return np.array([np.nanvar(value) > least for value in values])
+
+
+def rests_on_one_run(model: Model, column: int) -> int | None:
+    """The run without which hardly anything speaks for a column; None where others do."""
     gram = model.gram
     others = [k for k in model.chosen if k != column]
     count = gram.per_run.shape[0]
     # noise and clock stay: one run more or less hardly moves them
     kept = [Gram(np.delete(gram.per_run, j, axis=0), gram.prior_precision) for j in range(count)]
-    least = min(part.gain(model.chosen) - part.gain(others) for part in kept)
+    gains = [part.gain(model.chosen) - part.gain(others) for part in kept]
     whole = gram.gain(model.chosen) - gram.gain(others)
-    return bool(least < max(ONE_RUN_NATS, ONE_RUN_PART * whole))
+    return int(np.argmin(gains)) if min(gains) < max(ONE_RUN_NATS, ONE_RUN_PART * whole) else None
 
 
 def smallest_detectable(model: Model) -> Array:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from missionsim.identify.evidence import (
     Evidence,
+    cause_changes_in,
     cause_is_constant,
     evidence_of,
     nats_needed,
@@ -44,14 +45,14 @@ def gates(model: Model, evidence: Evidence) -> dict[str, bool]:
     column, settings, runs = evidence.column, model.constraints.settings, len(model.design.runs)
     # false alarms allowed to this column; the misfit of another effect goes either way, whatever sign physics gives
     tail = float(tails(model.constraints, len(model.chosen) > 1)[column])
-    one_each = runs > 1 and cause_is_constant(model, column)
+    alone = rests_on_one_run(model, column) if runs > 1 and cause_is_constant(model, column) else None
     shift = implied_shift(model, column, evidence.share)
     return {
         "likelihood": evidence.gain > nats_needed(tail),
         "robust": evidence.p_robust < 2.0 * tail,
         "practical": abs(evidence.share) > settings.min_share or _of_left_out(model, column)[0] < HALVED,
         "clock": runs > 1 or not model.constraints.of_column(column).by_clock,
-        "several runs": not one_each or not rests_on_one_run(model, column),
+        "several runs": alone is None or bool(cause_changes_in(model, column)[alone]),
         # NaN for effects without a twin in the base
         "beyond recalibration": not abs(shift) <= settings.recalibration_limit,
     }

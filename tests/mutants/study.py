@@ -172,7 +172,7 @@ MUTANTS = [
         ("evidence.gain > nats_needed(tail)", "True"),
         ("evidence.p_robust < 2.0 * tail", "True"),
         ("abs(evidence.share) > settings.min_share", "True"),
-        ("not one_each or not rests_on_one_run(model, column)", "True"),
+        ("alone is None or bool(cause_changes_in(model, column)[alone])", "True"),
         ("not abs(shift) <= settings.recalibration_limit", "True"),
         ('"runs": left < 1.0', '"runs": True'),
         ("if column in forms:", "if False:"),
