@@ -95,7 +95,7 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
     stuck = {name for candidate in bench.features.candidates for name in candidate.never_on}
     known -= stuck
     for effect in effects:
-        rivals = [name for name in effect.indistinguishable_from if name in known]
+        rivals = [name for name in (*effect.indistinguishable_from, *effect.shared_with) if name in known]
         unlogged = [name for name in effect.indistinguishable_from if name not in known]
         if unlogged:
             switches = " and ".join(f"on_{name.partition(':')[2]}" for name in unlogged)

@@ -61,7 +61,13 @@ def named(effect: Finding) -> str:
     """The library's name of what `missing` told, and whether that is sure; empty where it was told by its name."""
     kind = effect.effect.partition(":")[0]
     known = kind in _SUBJECT or kind.startswith(("component_", "logged_"))
-    return f"; that {'may be' if effect.doubt else 'is'} {effect.effect}" if known or effect.doubt else ""
+    part = f", {shared(effect)}" if effect.shared_with else ""
+    return f"; that {'may be' if effect.doubt else 'is'} {effect.effect}{part}" if known or effect.doubt or part else ""
+
+
+def shared(effect: Finding) -> str:
+    """What may have a part of an effect."""
+    return f"a part of it perhaps {' or '.join(effect.shared_with)}, which goes along with it from run to run"
 
 
 def missing(effect: Finding) -> str:

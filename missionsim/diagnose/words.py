@@ -185,6 +185,7 @@ def found_line(effect: Finding) -> str:
     return (
         f"{effect.effect}: {share_told(effect)}; {parameters_told(effect)}; "
         f"{level}, {p_told(effect.p_value)}{runs}{'; ' * bool(effect.doubt)}{effect.doubt}"
+        + (f"; {sentences.shared(effect)}" if effect.shared_with else "")
     )
 
 

@@ -17,6 +17,7 @@ from missionsim.identify.settings import (
     APART,
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
+    KEPT_PART,
     NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
@@ -212,6 +213,7 @@ def estimated(choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: 
         forms = tuple(name for name in similar if family == "component_power" and name == f"component_warmup:{part}")
         similar = tuple(name for name in similar if name not in forms)
         fades = f"it may fade after {part} is switched on ({forms[0]} fits alike)" if forms else ""
+        shared = () if similar or forms else _shared(model, own)
         leads = {name: nats for name, (_, nats) in alike.get(candidate.effect, {}).items()}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
@@ -231,6 +233,7 @@ def estimated(choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: 
                 level="identified, repeated across runs" if repeated else "identified",
                 indistinguishable_from=similar,
                 other_forms=forms,
+                shared_with=shared,
                 separation_nats=min(among, default=float("nan")),
                 absorbed=float(absorbed[own].min()),
                 remark="; ".join(filter(None, (much, fades))),
@@ -273,6 +276,34 @@ def _sized(choice: Choice, own: Sequence[int], sizes: Mapping[int, float]) -> tu
         name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
         parameters[name] = Estimate(size, size - half, size + half, candidate.unit)
     return parameters, Z95 * float(np.linalg.norm(share_sd))
+
+
+def _shared(model: Model, own: Sequence[int]) -> tuple[str, ...]:
+    """Effects that may have much of one in the model: where such an effect has the most that its 95 % interval beside
+    it allows, it keeps less than `KEPT_PART` of its size.
+
+    A load that goes with the cold from run to run explains what both cost, at twice its size. Each run is one
+    observation of causes that are constant in runs, so that one being better than the other says little against both.
+    """
+    gram, constraints = model.gram, model.constraints
+    rest = [k for k in model.chosen if k not in own]
+
+    def told_by_runs(k: int) -> bool:
+        return cause_is_constant(model, k) and not cause_changes_in(model, k).any()
+
+    if len(own) > 1 or not told_by_runs(own[0]):
+        return ()
+    alone, found = float(gram.shares([*rest, *own])[-1]), list[str]()
+    for k in range(len(constraints.effect)):
+        name = constraints.of_column(k).effect
+        if name in found or not constraints.compatible(k, model.chosen) or k in model.chosen or not told_by_runs(k):
+            continue
+        (size, other), covariance = (part[-2:] for part in gram.coefficients([*rest, *own, k]))
+        most = other + np.copysign(Z95 * np.sqrt(covariance[1, -1]), constraints.sign[k])
+        kept = size + covariance[0, -1] / covariance[1, -1] * (most - other)
+        if most * constraints.sign[k] > 0.0 and kept / alone < KEPT_PART:
+            found.append(name)
+    return tuple(found)
 
 
 def _similar(choice: Choice, number: int, sizes: Mapping[int, float]) -> tuple[str, ...]:

@@ -95,6 +95,8 @@ class Finding:
     """Effects that these data cannot tell from it."""
     other_forms: tuple[str, ...] = ()
     """Those of them that are the same thing, drawn in another way: a component that fades after switching on."""
+    shared_with: tuple[str, ...] = ()
+    """Effects that may have a part of it, since their causes go together from run to run."""
     separation_nats: float = float("nan")
     """Expected lead over the best imitation."""
     absorbed: float = float("nan")
@@ -162,6 +164,7 @@ class Finding:
             "heldout_rmse_after_w": self.heldout_rmse_after_w,
             "indistinguishable_from": list(self.indistinguishable_from),
             "other_forms": list(self.other_forms),
+            "shared_with": list(self.shared_with),
             "separation_nats": self.separation_nats,
             "absorbed_share": self.absorbed,
         }

@@ -406,6 +406,13 @@ def test_a_law_of_one_level_or_direction_is_a_sentence(formula: str, name: str, 
     assert sentences._law_subject(formula, variables) == told
 
 
+def test_what_may_have_a_part_of_an_effect_is_told_with_it() -> None:
+    payload = replace(PAYLOAD, indistinguishable_from=(), shared_with=("temperature_friction",))
+    told = "payload, a part of it perhaps temperature_friction, which goes along with it from run to run"
+    assert f"; that is {told}." in words.headline(replace(BATTERY, effects=(payload,)))
+    assert words.found_line(payload).endswith(told.removeprefix("payload, "))
+
+
 def test_how_the_robot_drove_beside_its_plan_is_told_with_its_scheme() -> None:
     dwell = replace(
         GRADE, effect="path_stretch", parameters={"k": Estimate(1.08, 1.05, 1.11)}, energy_share=0.02, scheme="seen"

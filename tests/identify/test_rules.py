@@ -211,6 +211,29 @@ def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
     assert estimates._similar(choice, number, {0: 0.02, 1: 0.2}) == may_be
 
 
+@pytest.mark.parametrize(
+    ("together", "driven", "sign", "may_have"),
+    [
+        (0.9, False, 1, ("b",)),  # half of it, at the most that the other may be
+        (0.5, False, 1, ()),  # a seventh
+        (0.9, True, 1, ()),  # one drive told them apart
+        (0.9, False, -1, ()),  # which physics forbids
+    ],
+)
+def test_an_effect_that_goes_with_another_from_run_to_run_may_have_a_part_of_it(
+    monkeypatch: pytest.MonkeyPatch, together: float, driven: bool, sign: int, may_have: tuple[str, ...]
+) -> None:
+    """Of a load that was carried on cold days "payload, sure" had twice its size."""
+    monkeypatch.setattr(estimates, "cause_is_constant", lambda *_: True)
+    monkeypatch.setattr(estimates, "cause_changes_in", lambda *_: np.array([False, driven]))
+    candidates = [Candidate(name, (name,), covariate=name, sign=1 if name == "a" else sign) for name in "ab"]
+    constraints = Constraints(np.array([1, sign]), np.arange(2), np.zeros(2, dtype=bool), candidates)
+    load, cold = np.array([8.0, 0.0]), 8.0 * np.array([together, np.sqrt(1.0 - together**2)])
+    rows = np.vstack([load, load, cold])
+    model = SimpleNamespace(chosen=(0,), constraints=constraints, gram=Gram(rows @ rows.T[None], np.zeros(0)))
+    assert estimates._shared(model, [0]) == may_have
+
+
 def test_an_effect_that_is_named_is_no_rival_of_what_may_be_another_form_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         estimates, "_similar", lambda _choice, number, _sizes: ("turning_scrub",) if number == 0 else ()
