@@ -369,31 +369,31 @@ class _Search:
         return self.layout.parameters.index(twin) if twin in self.layout.parameters else None
 
     def rivals(self, trial: Trial, rest: Sequence[int], inside: set[int]) -> tuple[int, ...]:
-        """Effects that predict left-out runs as well in the place of one, or, of watts that are logged and drawn at a
-        usual factor, clearly better; forms that hold it as a special case are none."""
+        """Effects that predict left-out runs as well in the place of one, of watts that are logged and drawn at a usual
+        factor clearly better; forms of its own cause that hold it as a special case are none."""
         most = -UNCLEAR if self._surely_drawn(trial) else UNCLEAR
         found: list[int] = []
         for number, options in self.options():
             # the twin of a base parameter was recalibrated already: it is no other explanation
             if number in inside or self.candidates[number].prior is not None:
                 continue
+            form = self.candidates[number].covariate == self.candidates[trial.candidate].covariate
             for option in options:
                 other = self.tried(number, option, rest)
-                if other is None or not other.passed["robust"] or self._nested(trial.columns, option):
+                if other is None or not other.passed["robust"] or (form and self._nested(trial.columns, option)):
                     continue
                 if not other.left.within(trial.left, most):
                     continue
                 # whether it explains what the other in its place leaves over (Davidson and MacKinnon 1981)
                 again = self.tried(trial.candidate, trial.columns, [*rest, *option])
-                if again is None or not again.passed["runs"] or not again.passed["robust"]:
+                if again is None or not (again.passed["runs"] and again.passed["robust"]):
                     found.append(number)
                     break
         return tuple(found)
 
     def _nested(self, one: Sequence[int], other: Sequence[int]) -> bool:
         """Whether one set of columns lies in the span of the other."""
-        small, large = sorted((list(one), list(other)), key=len)
-        a, b = (1 + self.squares.q + np.asarray(columns, dtype=np.intp) for columns in (small, large))
+        a, b = (1 + self.squares.q + np.asarray(c, dtype=np.intp) for c in sorted((one, other), key=len))
         whole = self.squares.whole
         cross = whole[np.ix_(b, a)]
         rest = np.diag(whole)[a] - np.sum(cross * np.linalg.lstsq(whole[np.ix_(b, b)], cross, rcond=1e-12)[0], axis=0)

@@ -63,9 +63,9 @@ class Left:
         return float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) if sd > 0.0 else 1.0
 
     def within(self, other: Left, most: float) -> bool:
-        """Whether it errs by less than so many standard errors of the paired difference more than another."""
+        """Whether it errs by no more than so many standard errors of the paired difference more than another."""
         behind = self.square - other.square
-        return bool(behind.sum() < most * float(np.std(behind, ddof=1)) * np.sqrt(len(behind)))
+        return bool(behind.sum() <= most * float(np.std(behind, ddof=1)) * np.sqrt(len(behind)))
 
 
 @dataclass(frozen=True)

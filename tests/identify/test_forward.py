@@ -159,6 +159,22 @@ def test_what_left_out_runs_do_not_tell_apart_are_rivals_and_a_multiple_is_none(
     assert search.rivals(search.tried(0, [0], ()), (), {0}) == rivals
 
 
+@pytest.mark.parametrize(("cause", "rivals"), [("payload_kg", ()), ("surface", (1,))])
+def test_the_same_column_of_another_cause_is_a_rival(cause: str, rivals: tuple[int, ...]) -> None:
+    """A load that was carried on grass and nowhere else: "payload, sure", 20 % of the energy."""
+    rng, folds = np.random.default_rng(9), []
+    for number in range(8):
+        load = (number % 2) * rng.uniform(0.5, 1.5, 600)
+        power = load + 0.5 * rng.normal(size=600)
+        folds.append(np.vstack([power, load, 2.0 * load, np.ones(600), 10.0 + power]))
+    search = searched(folds, ["payload", "surface_rolling_resistance"])
+    search.candidates[:] = [
+        replace(search.candidates[0], covariate="payload_kg"),
+        replace(search.candidates[1], covariate=cause),
+    ]
+    assert search.rivals(search.tried(0, [0], ()), (), {0}) == rivals
+
+
 @pytest.mark.parametrize(("factor", "holds"), [(0.45, False), (0.55, True), (1.9, True), (2.1, False)])
 def test_what_is_drawn_is_drawn_whole_with_a_converters_loss_at_most(factor: float, holds: bool) -> None:
     search = of_an_arm(factor, 0.0)
