@@ -183,6 +183,8 @@ def worse_note(
         return ""
     best = best_before(bars)
     told = f"from {watts(before.power_rmse_w)} ({watts(recalibrated.power_rmse_w)} recalibrated)"
+    if power and after.power_rmse_w < before.power_rmse_w:
+        told = f"from {watts(recalibrated.power_rmse_w)} recalibrated ({watts(before.power_rmse_w)} of the file)"
     if best > 1 and added:
         late = added[best - 1 :]
         what = late[0] if len(late) == 1 else f"what came after {added[best - 2]}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -172,6 +173,9 @@ def _shared_names(runs: Sequence[Driven], remarks: list[str]) -> set[str]:
     text = [{isinstance(columns[name], Labels) for own, columns in each if name in own} for name in every]
     mixed = {name for name, kinds in zip(every, text, strict=True) if len(kinds) > 1}
     remarks += [f"{name} is text in some runs and a number in others: left out" for name in sorted(mixed)]
+    for name, run in product(mixed, runs):
+        assert isinstance(run.covariates, dict)
+        run.covariates.pop(name, None)
     known, every = [own - mixed for own in known], every - mixed
     found = set.intersection(*known)
     for name in sorted(every - found):

@@ -92,10 +92,20 @@ def read_logs(
         for file, (first, *more) in grouped(faults, lambda fault: fault.file).items():
             told = f" (line {first.line})" * bool(first.line) + f", and {len(more)} faults more" * bool(more)
             left_out.append(f"{run_of(Path(file))}: {first.message}{told}")
-    logs = meters_alike(logs)
+    logs = _with_texts(meters_alike(logs))
     names = [log.run for log in logs]
     return [
         replace(log, run=f"{Path(log.source).resolve().parent.name}/{log.run}") if names.count(log.run) > 1 else log
+        for log in logs
+    ]
+
+
+def _with_texts(logs: Sequence[Run]) -> list[Run]:
+    """The same runs without labels of which none of them has a text; in some, no text counts as a name of its own."""
+    labels = [(name, data) for log in logs for name, data in log.columns.items() if isinstance(data, Labels)]
+    empty = {name for name, _ in labels} - {name for name, data in labels if data.names}
+    return [
+        replace(log, columns={name: log.columns[name] for name in log.columns if name not in empty}) if empty else log
         for log in logs
     ]
 

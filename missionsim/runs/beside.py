@@ -353,7 +353,7 @@ def _levels(driven: Driven, gap: Array) -> dict[tuple[object, ...], tuple[float,
     kinds, which = np.unique(states, axis=0, return_inverse=True)
     words = [one for name in sorted(driven.run.columns) if isinstance(one := driven.run.columns[name], Labels)]
     # a floor that the whole run lies on is no meter's offset
-    texts = tuple(one.names[int(one.codes[0])] if np.ptp(one.codes) == 0 else "" for one in words)
+    texts = tuple((*one.names, "")[int(one.codes[0])] if np.ptp(one.codes) == 0 else "" for one in words)
     groups = (((*kind, *texts), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
     return {kind: (float(np.median(rows)), len(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
 

@@ -53,6 +53,10 @@ def test_last_runs_that_are_all_of_what_few_fitted_ones_are_differ_in_kind(floor
         ("tttttttttt", [0, 1, 0, 1, 0, 1, 0, 1, 5, 6], [6, 7], "show most of payload_kg"),
         ("ttttttttss", [0, 1, 0, 1, 0, 1, 0, 1, 0, 1], [6, 7], "surface"),
         ("tttttttttt", [3] * 10, [8, 9], "the last 2 runs of 10"),
+        # whichever are held out, their floors are shown by no other run
+        ("abcdefghij", [0] * 10, [8, 9], "the last 2 runs of 10"),
+        # and yet the load need not be
+        ("abcdefghij", [0] * 9 + [5], [7, 8], "show most of payload_kg, surface"),
     ],
 )
 def test_what_the_last_runs_alone_show_is_fitted(floors: str, loads: list[int], held: list[int], how: str) -> None:
@@ -99,6 +103,16 @@ def test_the_only_drive_at_several_speeds_is_fitted(speeds: tuple[object, object
             )
         )
     assert ("run_07" in names(choose_split(runs).heldout)) is held
+
+
+@pytest.mark.parametrize("floors", [["tile", "mud"], ["", ""]])
+def test_floors_that_are_numbers_in_some_runs_or_have_no_text_are_no_cause(floors: list[str]) -> None:
+    same, runs = drive(0, seconds=30.0), []
+    for number in range(8):
+        floor = Labels.of(floors * 15) if number % 2 or floors == ["", ""] else np.ones(30)
+        own = {"surface": floor, "temp_ambient_c": np.full(30, 20.0 * (number == 7))}
+        runs.append(replace(same, run=f"run_{number:02d}", columns={**same.columns, **own}))
+    assert choose_split(runs).how == "run_05, run_06 of 8 runs, as the last ones show most of temp_ambient_c"
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

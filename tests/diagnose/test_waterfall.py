@@ -123,14 +123,14 @@ def test_runs_that_got_worse_are_told_first() -> None:
     between = replace(held, energy_error_pct={**energy, "with_effects": 0.9})
     assert sentences.worse(replace(BATTERY, heldout=between)) == ""
     more = replace(held, energy_error_pct=rmse, power_rmse_w={**rmse, "with_effects": 1.25})
-    assert "raises the power error from 1.30 W" in sentences.worse(replace(BATTERY, heldout=more))
+    assert "from 1.20 W recalibrated (1.30 W of the file)" in sentences.worse(replace(BATTERY, heldout=more))
     assert "see the runs not used" in sentences.sure(replace(BATTERY, heldout=more))
     # 2 W of the meter: standby_load for the standing power of the file, and as good to a hundredth of what was wrong
     same = replace(more, power_rmse_w={"nominal": 2.0, "recalibrated": 0.108, "with_effects": 0.1095})
     assert sentences.worse(replace(BATTERY, heldout=same)) == ""
     assert "see the runs not used" in sentences.sure(replace(BATTERY, heldout=same))
     same.power_rmse_w["with_effects"] = 0.114
-    assert "raises the power error from 2.00 W" in sentences.worse(replace(BATTERY, heldout=same))
+    assert "raises the power error from 0.108 W recalibrated (2.00 W" in sentences.worse(replace(BATTERY, heldout=same))
     done = improved(3.0)
     assert done.worse
     page = unescape(improve_page("r", [done]))

@@ -38,3 +38,4 @@ def test_a_column_that_is_text_in_one_run_and_a_number_in_others_is_left_out() -
     made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4"), logs)
     assert any("mode is text in some runs and a number in others" in remark for remark in made.remarks)
     assert len(compare(made.fit.model, logs).runs) == 3
+    assert not any("mode" in run.covariates for run in prepare(made.fit.model, logs, "robot").runs)

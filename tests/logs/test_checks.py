@@ -717,6 +717,14 @@ def test_a_meter_is_refreshed_alike_in_all_runs(tmp_path: Path, seconds: tuple[f
         assert together[2].reading_s("robot") == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("text", ["", "mud"])
+def test_a_floor_that_no_run_tells_is_no_column(tmp_path: Path, text: str) -> None:
+    for number, floor in enumerate(("", text)):
+        rows = [f"{t},{10 + number + t % 3},0.{t % 4},{floor}" for t in range(30)]
+        (tmp_path / f"run{number}.csv").write_text("\n".join(["time_s,power_robot_w,speed_m_s,surface", *rows, ""]))
+    assert ["surface" in log.columns for log in read_logs(tmp_path)] == [bool(text)] * 2
+
+
 def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
     from missionsim.inputs import load_robot
 

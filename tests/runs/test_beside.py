@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from missionsim.labels import Labels
 from missionsim.runs import beside
 
 WAVE = np.sin(np.arange(400) * 2.0 * np.pi / 400)
@@ -134,3 +135,9 @@ def test_an_offset_that_a_logged_load_explains(column: str, explains: bool) -> N
         one.model_w = {"robot": np.full(400, 10.0)}
         one.run = of_run(i, **{column: (0.9 if i == 8 else 0.3) * (1.1 + WAVE)})
     assert beside._explained(own.runs[8], own.runs, "robot", 8.0) is explains
+
+
+def test_a_run_without_any_text_has_the_levels_of_no_floor() -> None:
+    columns = {"surface": Labels.of([""] * 30)}
+    driven = SimpleNamespace(run=SimpleNamespace(columns=columns), covariates={"speed_m_s": np.ones(30)})
+    assert beside._levels(driven, np.full(30, 2.0)) == {(1.0, ""): (2.0, 30)}  # type: ignore[arg-type]
