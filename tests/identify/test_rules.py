@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from missionsim.identify import estimates, stepwise
+from missionsim.identify import estimates, rules, stepwise
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, Constraints
 from missionsim.identify.design import make_source
@@ -112,6 +112,16 @@ def test_what_is_constant_in_runs_and_rests_on_one_of_them_is_kept_out(grade: Qu
     assert passed(one_cold_run({1, 2, 4}))["several runs"] is True
     # a drive that was made for it: half of it cold, half of it warm
     assert passed(one_cold_run({2}, part=0.5))["several runs"] is True
+
+
+@pytest.mark.parametrize(("of_other", "runs", "holds"), [([], {2}, False), ([1], {2}, True), ([1], {3}, False)])
+def test_a_run_in_which_the_cause_of_another_effect_changes_tells_both(
+    monkeypatch: pytest.MonkeyPatch, of_other: list[int], runs: set[int], holds: bool
+) -> None:
+    """The load on and off on one floor: the other floor's cost rests on that run, in which the floor stays."""
+    monkeypatch.setattr(rules, "cause_is_constant", lambda _, k: k in (0, *of_other))
+    monkeypatch.setattr(rules, "cause_changes_in", lambda _, k: [k == 1 and run in runs for run in range(4)])
+    assert rules._driven_for_it(SimpleNamespace(chosen=(0, 1)), 0, 2) is holds
 
 
 def one_cold_run(cold: set[int], part: float = 1.0) -> Question:
