@@ -14,6 +14,7 @@ from missionsim.identify.gram import Gram, all_sets, set_gains, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.residual import ramps
 from missionsim.identify.settings import (
+    ACTS_PART,
     APART,
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
@@ -116,6 +117,7 @@ def _lead_where_apart(gram: Gram, rest: Sequence[int], own: int, other: int) -> 
     powers = size * size * np.diagonal(runs, axis1=1, axis2=2)[:, 1:]
     lead = (size * runs[:, 0, 1:] - 0.5 * powers) @ [1.0, -1.0]
     differ = powers.sum(axis=1) - 2.0 * size[0] * size[1] * runs[:, 1, 2] > APART * powers.max(axis=1)
+    differ &= powers.max(axis=1) > ACTS_PART * powers.max()  # where neither acts, noise of a cause is all that differs
     return bool(lead[differ].sum() > ODDS_NATS)
 
 

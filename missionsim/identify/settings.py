@@ -202,6 +202,8 @@ NOISY_SLOPE = 2.0
 """A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
 APART = 0.5
 """Two powers of which no more than this part is the same in a run differ there by more than noise of a cause."""
+ACTS_PART = 0.1
+"""Of the squared power in the run with most, two causes leave less in a run where neither acts (assumed)."""
 KEPT_PART = 0.7
 """Part of its size that an effect keeps beside the most that another one may have of it, or that is told: true ones
 alone keep 0.74 or more (study), one of two that are both there 0.58 to 0.69."""

@@ -80,6 +80,16 @@ def test_a_lead_counts_in_runs_in_which_two_powers_differ_by_half(alike: float, 
     assert estimates._lead_where_apart(Gram((rows @ rows.T)[None], np.zeros(0)), [], 0, 1) is leads
 
 
+@pytest.mark.parametrize(("part", "leads"), [(0.05, False), (0.2, True)])
+def test_a_run_in_which_neither_of_two_acts_shows_no_lead(part: float, leads: bool) -> None:
+    """Load and cold that go together: in the run without both, the noise of the thermometer was all that differed, and
+    "payload, sure" had twice its size."""
+    alike = np.sqrt(200.0) * np.array([[1.0, 0.0], [0.97, np.sqrt(1.0 - 0.97**2)]])
+    faint = np.sqrt(part * 200.0) * np.eye(2)
+    rows = np.array([np.vstack([run[0], run]) for run in (alike, faint)])
+    assert estimates._lead_where_apart(Gram(rows @ rows.swapaxes(1, 2), np.zeros(0)), [], 0, 1) is leads
+
+
 def free_curve(monkeypatch: pytest.MonkeyPatch, answer: Any) -> SimpleNamespace:
     """A model whose free curve over the covariate has five values; `answer` gives gain and p by the judge, which is the
     model away from ramps or the model, by the number of rows and of columns in the model."""

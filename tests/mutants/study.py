@@ -127,6 +127,7 @@ MUTANTS = [
         ("NOISY_SLOPE = 2.0", "NOISY_SLOPE = 1.0"),
         ("RIVAL_PART = 0.5", "RIVAL_PART = 1e9"),
         ("KEPT_PART = 0.7", "KEPT_PART = 0.0"),
+        ("ACTS_PART = 0.1", "ACTS_PART = 0.0"),
         ("EXTRA_EFFECT_NATS = 4.0", "EXTRA_EFFECT_NATS = 1e9"),
         ("BESIDE_RUN_LEVEL = 0.005", "BESIDE_RUN_LEVEL = 1.0"),
         ("SUPPORT_S = 8.0", "SUPPORT_S = 0.0"),
