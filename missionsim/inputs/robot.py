@@ -312,6 +312,7 @@ class BodySpec(Model):
     max_yaw_rate: values.YawRate = Parameter(1.0, status="assumed", unit="rad/s")
     max_yaw_acceleration: values.YawAcceleration | None = None
     max_payload: values.Mass | None = None
+    track_width: values.Length | None = None
     regeneration: values.Fraction = Parameter(0.0, status="assumed")
 
 

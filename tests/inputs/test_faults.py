@@ -87,7 +87,7 @@ def fault(what: str, at: str = "", got: str = "", allowed: str = "", meant: str 
 CASES = [
     ("robot", "max_speed: 1 m/s", "max_sped: 1 m/s", fault("3:29: unknown key 'max_sped'", "body.max_sped",
      "max_sped", "mass, drive, max_speed, max_lateral_speed, max_acceleration, max_deceleration, max_yaw_rate, "
-     "max_yaw_acceleration, max_payload, regeneration", "max_speed")),
+     "max_yaw_acceleration, max_payload, track_width, regeneration", "max_speed")),
     ("robot", "max_speed: 1 m/s", "max_speed: 3 kg", fault("3:40: wrong unit: kg is a unit of mass",
      "body.max_speed", "3 kg", "a speed such as 0.5 m/s")),
     ("robot", "10 Wh", "-10 Wh", fault("4:30: impossible value", "batteries.main.capacity", "'-10 Wh'",
