@@ -56,7 +56,9 @@ def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.i
             parts.setdefault((name, kind), []).append((rows[known], unit, factor, found[known]))
     for name in [name for name, kind in parts if not kind]:
         told = [same for (other, kind), same in parts.items() if other == name and kind]
-        if len(told) == 1:  # a unit that not every row repeats
+        if len(told) == 1 and not any(
+            isinstance(part[3], Labels) for part in (*told[0], *parts[name, ""])
+        ):  # a unit that not every row repeats
             size = min(told[0], key=lambda part: part[0][0])[2]
             told[0] += [(rows, unit, size, data) for rows, unit, _, data in parts.pop((name, ""))]
     for (name, _), same in parts.items():

@@ -78,13 +78,18 @@ def split(text: str) -> tuple[float, str] | None:
 def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
     """Factor and offset to SI (``si = factor * number + offset``) of a unit of the wanted dimension. Raises UnitError:
     unknown unit, or a unit of another dimension."""
+    if scaled := re.fullmatch(r"(\d*\.?\d+)\s*([^\d\s/].*)", unit):  # the tenth volts of a register, `0.1 V`
+        factor, zero = _factor(scaled[2], dimension)
+        if zero == 0.0 < float(scaled[1]):
+            return float(scaled[1]) * factor, 0.0
+    return _factor(unit, dimension)
+
+
+def _factor(unit: str, dimension: str) -> tuple[float, float]:
+    """The same of a unit without a number before it: `1 500 Wh` is no quantity."""
     of = DIMENSIONS[dimension]
     if unit in of.units:
         return of.units[unit], 0.0
-    if scaled := re.fullmatch(r"(\d*\.?\d+)\s*([^\d\s].*)", unit):  # the tenth volts of a register, `0.1 V`
-        factor, zero = unit_factor(scaled[2], dimension)
-        if zero == 0.0 < float(scaled[1]):
-            return float(scaled[1]) * factor, 0.0
     if unit in _OF:
         raise UnitError(f"wrong unit: {unit} is a unit of {_OF[unit].name}", unit, str(of))
     quantity = _pint_unit(unit, str(of), of.units)
@@ -111,7 +116,7 @@ def parse(text: str, dimension: str = "") -> tuple[float, str]:
     if not unit:
         return of.plain_to_si(number), of.si
     try:
-        factor, offset = unit_factor(unit, dimension)
+        factor, offset = _factor(unit, dimension)
     except UnitError as problem:
         raise UnitError(problem.message, text[:60], problem.allowed, problem.hint) from None
     return number * factor + offset, of.si

@@ -166,7 +166,10 @@ def is_recording(path: Path) -> bool:
 def is_echo(path: Path) -> bool:
     """Whether a YAML file holds messages of a topic as ROS prints them."""
     like = registry()["echo"].like
-    return path.suffix.lower() in (".yaml", ".yml") and like is not None and bool(like.match(path.read_bytes()[:99]))
+    if like is None or path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return like.match(file.read(99)) is not None
 
 
 def reader_of(path: Path) -> Reader:

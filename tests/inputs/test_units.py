@@ -19,7 +19,7 @@ from missionsim.inputs import units
         ("15 %", "fraction", 0.15), ("2.03 GHz", "frequency", 2.03e9), ("-3", "length", -3.0),
         ("7", "energy", 25200.0), ("2", "charge", 7200.0), ("68 degF", "temperature", 20.0),
         ("293.15 K", "temperature", 20.0), ("5 mph", "speed", 2.2352), ("3 metres", "length", 3.0),
-        ("90°", "angle", math.pi / 2),
+        ("90°", "angle", math.pi / 2), ("5 1/min", "frequency", 5 / 60),
     ],
 )  # fmt: skip
 def test_quantities(text: str, dimension: str, value: float) -> None:
@@ -34,6 +34,7 @@ def test_quantities(text: str, dimension: str, value: float) -> None:
         ("50 Km", "length", "unknown unit", "km"),
         ("3 w", "power", "unknown unit", "W"),
         ("1:30", "duration", "unknown unit", ""),
+        ("1 500 Wh", "energy", "unknown unit", ""),
         ("on", "speed", "not a number with a unit", ""),
         ("nan W", "power", "not a number with a unit", ""),
         ("3 __import__", "power", "unknown unit", ""),

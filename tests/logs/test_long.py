@@ -134,3 +134,11 @@ def test_a_unit_that_changes_within_a_signal(tmp_path: Path, other: str) -> None
     assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0
     assert main(["import", str(path), "--map", str(made), "--out", str(out), "--quiet"]) == 0
     assert read_log(out).energy_wh("robot") == pytest.approx(WH, rel=0.01)
+
+
+def test_words_without_a_unit_beside_numbers_with_one(tmp_path: Path) -> None:
+    path, made = tmp_path / "run1.csv", tmp_path / "made.yaml"
+    told = [f"{t},power,{w:.6g},W\n{t},power,idle,\n" for t, w in zip(T, WATTS, strict=True)]
+    told += [f"{t},speed,{v:.6g},m/s\n" for t, v in zip(T, SPEED, strict=True)]
+    path.write_text("time,signal,value,unit\n" + "".join(told))
+    assert main(["import", str(path), "--suggest", "--out", str(made), "--quiet"]) == 0

@@ -12,6 +12,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.importer.suggest import suggest_map
 from missionsim.logs import read_log
+from missionsim.logs.readers import is_echo
 from tests.logs import loggers
 
 T = np.arange(0.0, loggers.LENGTH_S, 0.5).round(1)
@@ -82,6 +83,18 @@ def test_messages_of_several_kinds(tmp_path: Path, name: str) -> None:
     assert imported(tmp_path, tmp_path / name) == pytest.approx((WH, WAY), rel=0.015)
 
 
+@pytest.mark.parametrize("result", [[3], {"a": 1}, [{"metric": None}], [{"values": [[1, 2, 3]]}]])
+def test_what_is_no_range_of_prometheus_is_refused(tmp_path: Path, result: object) -> None:
+    (tmp_path / "a.json").write_text(json.dumps({"data": {"resultType": "matrix", "result": result}}))
+    assert main(["import", str(tmp_path / "a.json"), "--suggest", "--out", str(tmp_path / "m.yaml"), "--quiet"]) == 2
+
+
+def test_columns_are_as_long_as_the_times(tmp_path: Path) -> None:
+    columns = {"fields": list("abc" * len(T)), "time": T.tolist(), "power_w": W.tolist(), "speed_m_s": V.tolist()}
+    (tmp_path / "a.json").write_text(json.dumps(columns))
+    assert imported(tmp_path, tmp_path / "a.json") == pytest.approx((WH, WAY), rel=0.01)
+
+
 def test_states_of_one_kind_of_message_stay_together(tmp_path: Path) -> None:
     (tmp_path / "a.jsonl").write_text(
         lines(lambda t, w, v: {"type": "drive" if v > 0.5 else "slow", "t": t, "power": w, "speed": v})
@@ -100,6 +113,7 @@ def test_a_folder_of_what_ros_prints_of_two_topics_is_one_run(tmp_path: Path) ->
         "".join(f"{at}twist:\n  linear:\n    x: {v:.4f}\n---\n" for at, v in zip(stamp, V, strict=True))
     )
     (folder / "map.yaml").write_text("kind: map\n")
+    assert not is_echo(folder / "gone.yaml")
     assert imported(tmp_path, folder) == pytest.approx((WH, WAY), rel=0.015)
 
 

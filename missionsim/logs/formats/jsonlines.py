@@ -4,6 +4,7 @@ them; dicts that Python prints."""
 from __future__ import annotations
 
 import ast
+import contextlib
 import itertools
 import json
 import math
@@ -166,16 +167,17 @@ def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
         return
     lists = [one for one in found.values() if isinstance(one, list) and len(one) > 1]
     if isinstance(found.get("data"), dict) and found["data"].get("resultType") == "matrix":
-        yield from _series(found["data"].get("result", []))
+        with contextlib.suppress(AttributeError, TypeError, ValueError):  # of another shape: no rows
+            yield from list(_series(found["data"].get("result", [])))
         return
     columns = {
         name: list(one.values()) if isinstance(one, dict) else one
         for name, one in found.items()
         if isinstance(one, list) or (isinstance(one, dict) and all(map(str.isdigit, one)))
     }
-    timed = any(name.lower() in _TIMES and len(one) > 1 for name, one in columns.items())
-    length = max(map(len, columns.values()), default=0)
-    length = length if timed or length >= _LEAST_ROWS else 0
+    # as long as the times, where there are such
+    length = max((len(one) for name, one in columns.items() if name.lower() in _TIMES and len(one) > 1), default=0)
+    length = length or max((len(one) for one in columns.values() if len(one) >= _LEAST_ROWS), default=0)
     inner = [
         one for one in found.values() if isinstance(one, dict) and any(isinstance(of, list) for of in one.values())
     ]
@@ -318,12 +320,20 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
     return Recording(topics, [], start * 1e-9) if counts else None
 
 
+_LIST_BEGIN = re.compile(rb"\[(?!\d[^\n\][{\"]*\] )")  # what is no time in brackets, `[12:00:01] U: 25.1 V`
 _PRINTED_BEGIN = re.compile(rb"(?:[^\n{]{0,200}\n){0,9}\{[\"']\w+[\"']: ")
 _BROKER_BEGIN = re.compile(rf"{_BEFORE.pattern}|(?=\d{{4}}-|\d{{9,19}}[ .]){_PLAIN.pattern}\n".encode())
 
 
 READERS = (
-    Reader("jsonlines", "JSON lines file", (".jsonl", ".ndjson"), (b"{", b"[", b"\xef\xbb\xbf{"), recording=read_json),
+    Reader(
+        "jsonlines",
+        "JSON lines file",
+        (".jsonl", ".ndjson"),
+        (b"{", b"\xef\xbb\xbf{"),
+        recording=read_json,
+        like=_LIST_BEGIN,
+    ),
     Reader("printed", "file of printed dicts", (), recording=read_json, like=_PRINTED_BEGIN),
     Reader("broker", "file of a broker's messages", (), recording=read_json, like=_BROKER_BEGIN),
 )
