@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from missionsim.importer.roles import ROLES, Guess, folded, size_of, words_of
+from missionsim.labels import Labels
 from missionsim.physics import Array
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ def numbered_wheels(draft: Draft) -> list[Guess]:
     groups: dict[str, list[Guess]] = {}
     for name, one in draft.fields.items():
         words, unit = words_of(name)
-        if folded(one) is not None or not (found := re.search(_TURNS, words)) or re.search(ROLES["left"].avoid, words):
+        if folded(one) is not None or isinstance(one.values, Labels) or re.search(ROLES["left"].avoid, words):
+            continue
+        if not (found := re.search(_TURNS, words)):
             continue
         unit = unit or "rpm" * bool(re.search(r"\brpm\b", words))
         if unit in ("rpm", "rad/s", "deg/s", "" if found[2] else None) and re.search(r"\d", name):

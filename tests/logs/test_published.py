@@ -192,6 +192,12 @@ def test_wheels_that_are_numbered_are_all_taken(tmp_path: Path, names: str) -> N
     assert np.abs(log.number("speed_m_s")).max() == pytest.approx(SPEED.max(), rel=1e-3)
 
 
+def test_words_of_wheels_are_no_pace(tmp_path: Path) -> None:
+    words = {f"wheel_{i}_rpm": ["slow", "fast"] * 600 for i in (1, 2)}
+    found = suggest_map([write_csv(tmp_path / "a.csv", {"t": TIME_S, "power_w": POWER} | words)])
+    assert "speed_m_s" not in found.columns
+
+
 START = datetime(2024, 11, 23, 13, 10, 40)
 STAMPS = {
     "14 digits": "%Y%m%d%H%M%S",
