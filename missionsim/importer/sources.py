@@ -32,6 +32,7 @@ from missionsim.logs.readers import (
     registry,
     run_of,
     source_suffixes,
+    unpacked_name,
     without_codes,
 )
 from missionsim.logs.times import Stamps, TimeError, read_stamps
@@ -85,17 +86,23 @@ def _inside(folder: Path) -> list[Path]:
     holds nothing itself, or only a table of its folders, the files in those."""
     found: list[Path] = []
     loose = tuple(suffix for reader in registry().values() if reader.folder for suffix in reader.suffixes)
-    for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
+    for path in sorted(p for p in folder.iterdir() if not (p.name.startswith(".") or _packed_beside(p))):
         if path.suffix.lower() in source_suffixes() or _is_source(path) or is_echo(path):
             found.append(path)
         elif path.is_dir():
             found += sorted(p for p in path.iterdir() if p.suffix.lower() in loose and not p.name.startswith("."))
-    files = (p for p in sorted(folder.glob("*/*")) if p.suffix.lower() in source_suffixes())
+    files = (p for p in sorted(folder.glob("*/*")) if p.suffix.lower() in source_suffixes() and not _packed_beside(p))
     inner = [p for p in files if not p.name.startswith(".") and not p.parent.name.startswith(".")]
     if len(found) == 1:
         listed = _listed(found[0], {path.parent.name for path in inner})
         return [*found, *(path for path in inner if path.parent.name in listed)]
     return found or inner
+
+
+def _packed_beside(path: Path) -> bool:
+    """Whether a packed file is an archive of several, or one that lies beside it unpacked."""
+    bare = unpacked_name(path.name)
+    return bare != path.name and (bare.lower().endswith(".tar") or path.with_name(bare).exists())
 
 
 _LIST_BYTES = 1 << 20

@@ -195,11 +195,12 @@ class QuantityOf:
             if not any(issue["hint"] in ("value", "low", "high", "distribution") for issue in issues):  # misspelt
                 issues.tell("no value", as_written(raw), "value, low and high, or a distribution")
             return None
-        if (low is not None and value < low) or (high is not None and value > high):
+        near = 1e-9 * abs(value)  # 35 cm are 0.35000000000000003 m
+        if (low is not None and value < low - near) or (high is not None and value > high + near):
             allowed = f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}"
             issues.tell("value outside its own low and high", as_written(raw.get("value")), allowed, "value")
         least, most = (-math.inf, math.inf) if distribution is None or "value" not in raw else distribution.ends
-        if not least <= value <= most:  # a run would take what no draw is, as in feet beside plain numbers in metres
+        if not least - near <= value <= most + near:  # a run would take what no draw is, as feet beside metres
             allowed = f"{least:g} to {most:g}, in SI" if self.dimension else f"{least:g} to {most:g}"
             issues.tell("value outside its own distribution", as_written(raw["value"]), allowed, "value")
         if distribution is None and sd is not None and sd > 0:

@@ -88,6 +88,15 @@ def test_empirical_from_a_csv_column(tmp_path: Path) -> None:
     assert parameter.value == 2.0
 
 
+@pytest.mark.parametrize("bounds", [{}, {"distribution": {"kind": "uniform"}}])
+def test_rounding_of_a_unit_puts_no_value_outside_its_bounds(bounds: dict[str, Any]) -> None:
+    """350 mW are 0.35000000000000003 W."""
+    assert 350 * 1e-3 > 0.35
+    ends = {"low": 0.1, "high": 0.35}
+    given = {"distribution": bounds["distribution"] | ends} if bounds else ends
+    assert read({"value": "350 mW"} | given).value == pytest.approx(0.35)
+
+
 @pytest.mark.parametrize(
     ("raw", "expected"),
     [

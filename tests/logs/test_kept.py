@@ -183,6 +183,13 @@ def test_a_packed_file_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert name in capsys.readouterr().err
 
 
+def test_a_folder_counts_no_run_twice_and_no_archive(tmp_path: Path) -> None:
+    """`run.csv` and `run.csv.gz` were two runs, twice the energy; an archive beside them refused all."""
+    for name in ("run.csv", "run.csv.gz", "other.csv.gz", "all.tar.gz"):
+        (tmp_path / name).write_bytes(b"")
+    assert [path.name for path in find_files([tmp_path])] == ["other.csv.gz", "run.csv"]
+
+
 def test_a_packed_archive_is_not_one_table(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("t,power\n0,1\n1,2\n")
     with tarfile.open(tmp_path / "a.tar.gz", "w:gz") as archive:
