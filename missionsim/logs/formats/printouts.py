@@ -3,8 +3,8 @@ after a time, as of a serial monitor."""
 
 from __future__ import annotations
 
-import itertools
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,36 +24,50 @@ _WARMTH = re.compile(r"\b([A-Za-z0-9_]+)@(-?\d+(?:\.\d+)?)C\b")
 def read_tegrastats(path: Path, _options: Options) -> RawTable:
     """Rails [mW], temperatures, load of processor and graphics of each line; its time, where it has one, else its
     number. Raises InputError: no such line."""
+    return _lines(path, _rails, ("no line of tegrastats in it", "RAM 1795/7859MB (lfb …"), "are none of tegrastats")
+
+
+def _rails(line: str) -> tuple[str, dict[str, float]] | None:
+    if (found := _STATS.match(line)) is None:
+        return None
+    row = {f"{name}_mW": float(value) for name, value in _RAIL.findall(line)}
+    row |= {f"temp_{name}_degC": float(value) for name, value in _WARMTH.findall(line)}
+    if cores := re.search(r"CPU \[([^\]]*)\]", line):
+        loads = [re.match(r"(\d+)%", core) for core in cores[1].split(",")]
+        row["cpu_load_%"] = sum(float(load[1]) for load in loads if load) / len(loads)
+    if graphics := re.search(r"GR3D_FREQ (\d+)%", line):
+        row["gpu_load_%"] = float(graphics[1])
+    stamp = f"{found[3]}-{found[1]}-{found[2]}T{found[4]}" if found[1] else ""
+    return stamp, row | {"memory_MB": float(found[5])}
+
+
+def _lines(
+    path: Path, read: Callable[[str], tuple[str, dict[str, float]] | None], lacking: tuple[str, str], others: str
+) -> RawTable:
+    """A table of the lines of which `read` makes a stamp and numbers, counted where not each has a stamp. `lacking`:
+    the fault where there is none, and what is allowed; `others`: what the rest of the lines do."""
     rows: list[dict[str, float]] = []
     stamps: list[str] = []
     numbers: list[int] = []
-    others = 0
+    left_out = 0
     with open(path, encoding="utf-8-sig", errors="replace") as handle:
         for number, line in enumerate(handle, start=1):
-            if (found := _STATS.match(line)) is None:
-                others += bool(line.strip())
+            if (found := read(line)) is None:
+                left_out += bool(line.strip())
                 continue
-            row = {f"{name}_mW": float(value) for name, value in _RAIL.findall(line)}
-            row |= {f"temp_{name}_degC": float(value) for name, value in _WARMTH.findall(line)}
-            if cores := re.search(r"CPU \[([^\]]*)\]", line):
-                loads = [re.match(r"(\d+)%", core) for core in cores[1].split(",")]
-                row["cpu_load_%"] = sum(float(load[1]) for load in loads if load) / len(loads)
-            if graphics := re.search(r"GR3D_FREQ (\d+)%", line):
-                row["gpu_load_%"] = float(graphics[1])
-            rows.append(row | {"memory_MB": float(found[5])})
-            stamps.append(f"{found[3]}-{found[1]}-{found[2]}T{found[4]}" if found[1] else "")
+            stamps.append(found[0])
+            rows.append(found[1])
             numbers.append(number)
     if not rows:
-        raise InputError(Fault(str(path), 1, 1, "no line of tegrastats in it", allowed="RAM 1795/7859MB (lfb …"))
+        raise InputError(Fault(str(path), 1, 1, lacking[0], allowed=lacking[1]))
     columns: dict[str, ColumnData] = {"index": np.arange(len(rows), dtype=np.float64)}
     if all(stamps):
         columns = {"time": Labels.of(stamps)}
     for name in dict.fromkeys(name for row in rows for name in row):
         columns[name] = np.array([row.get(name, np.nan) for row in rows])
     remarks = []
-    if others:
-        told = f"{others} lines are none of tegrastats"
-        remarks.append(Remark("format", "", told, "they were left out", "note", 0, others))
+    if left_out:
+        remarks.append(Remark("format", "", f"{left_out} lines {others}", "they were left out", "note", 0, left_out))
     return RawTable(str(path), columns, lambda row: numbers[row] if row >= 0 else 0, remarks, names=tuple(columns))
 
 
@@ -100,31 +114,17 @@ _LABELLED = rf"(?<![\w.])([A-Za-z_][\w.]*)(?:: ?|=)({_NUMBER}) ?(%|[A-Za-zµ°/]
 def read_labelled(path: Path, _options: Options) -> RawTable:
     """What stands in each line as a name with its number, ``12:00:01 -> U: 25.1 V, I=832 mA``, after the line's time.
     Raises InputError: no such line."""
-    rows: list[dict[str, float]] = []
-    stamps: list[str] = []
-    numbers: list[int] = []
-    others = 0
-    with open(path, encoding="utf-8-sig", errors="replace") as handle:
-        for number, line in enumerate(handle, start=1):
-            stamp = re.match(_STAMP, line)
-            found = re.findall(_LABELLED, line[stamp.end() :]) if stamp else []
-            if stamp is None or not found:
-                others += bool(line.strip())
-                continue
-            rows.append({f"{name} [{unit}]" if unit else name: float(value) for name, value, unit in found})
-            stamps.append(stamp[1].replace(",", "."))
-            numbers.append(number)
-    if not rows:
-        raise InputError(Fault(str(path), 1, 1, "no line with a time and names", allowed="12:00:01 U: 25.1 V, I: 3 A"))
-    columns: dict[str, ColumnData] = {"time": Labels.of(stamps)}
-    columns |= {
-        name: np.array([row.get(name, np.nan) for row in rows]) for name in dict.fromkeys(itertools.chain(*rows))
-    }
-    remarks = []
-    if others:
-        told = f"{others} lines have no time with names and numbers after it"
-        remarks.append(Remark("format", "", told, "they were left out", "note", 0, others))
-    return RawTable(str(path), columns, lambda row: numbers[row] if row >= 0 else 0, remarks, names=tuple(columns))
+    lacking = ("no line with a time and names", "12:00:01 U: 25.1 V, I: 3 A")
+    return _lines(path, _labelled, lacking, "have no time with names and numbers after it")
+
+
+def _labelled(line: str) -> tuple[str, dict[str, float]] | None:
+    stamp = re.match(_STAMP, line)
+    found = re.findall(_LABELLED, line[stamp.end() :]) if stamp else []
+    if stamp is None or not found:
+        return None
+    row = {f"{name} [{unit}]" if unit else name: float(value) for name, value, unit in found}
+    return stamp[1].replace(",", "."), row
 
 
 _LABELLED_BEGIN = re.compile(rf"(?:[^\n]*\n){{0,9}}?{_STAMP}[^\n]*?{_LABELLED}[^\n]*?{_LABELLED}".encode())
