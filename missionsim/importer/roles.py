@@ -26,20 +26,12 @@ WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words
 """How loggers call things: see the file."""
 
 
-_OF_LOGGERS = {
-    "K": 1.0,
-    "cA": 0.01,
-    "uV": 1e-6,
-    "kn": 1852 / 3600,
-    "Ah": 1.0,
-    "mAh": 1e-3,
-    "mdeg/s": 1e-3 * np.pi / 180,
-}
+_OF_LOGS = {"K": 1.0, "cA": 0.01, "uV": 1e-6, "kn": 1852 / 3600, "Ah": 1.0, "mAh": 1e-3, "mdeg/s": 1e-3 * np.pi / 180}
 """Units that robot files do not have; pint would be asked for them, which takes half a second to load."""
 
 
 def _factor(unit: str, dimension: str) -> float:
-    si = _OF_LOGGERS.get(unit) or unit_factor(unit, dimension)[0]
+    si = _OF_LOGS.get(unit) or unit_factor(unit, dimension)[0]
     return si / 3600.0 if dimension == "energy" else si
 
 
@@ -209,17 +201,22 @@ class Role:
     """Pattern of what is good where there is no other."""
 
 
-def _role(name: str, told: dict[str, Any]) -> Role:
-    """A role as the file says it: a pattern may be one of several, and some have names."""
-    patterns = {
-        key: "|".join(WORDS["patterns"].get(one, one) for one in ([given] if isinstance(given, str) else given))
-        for key, given in told.items()
-        if key in ("words", "prefer", "avoid", "second", "by_unit")
-    }
-    return Role(name, **told | patterns)
+def _pattern(given: str | Sequence[str]) -> str:
+    """A pattern as the file says it: it may be one of several, and some have names."""
+    return "|".join(WORDS["patterns"].get(one, one) for one in ([given] if isinstance(given, str) else given))
 
 
-ROLES = {name: _role(name, told) for name, told in WORDS["roles"].items()}
+PATTERNS = {name: _pattern(given) for name, given in WORDS["patterns"].items()}
+_OF_ROLE = ("words", "prefer", "avoid", "second", "by_unit")
+ROLES = {
+    name: Role(name, **told | {key: _pattern(told[key]) for key in _OF_ROLE if key in told})
+    for name, told in WORDS["roles"].items()
+}
+
+
+def says(pattern: str, words: str) -> bool:
+    """Whether words have what one of the file's patterns stands for."""
+    return re.search(PATTERNS[pattern], words) is not None
 
 
 @dataclass(frozen=True)
@@ -275,7 +272,7 @@ def _inner_name(field: Field) -> str:
     that is a unit: of a message (``data.v``) but for those of motion, and of a file of a meter."""
     name = field.name
     if letter := re.fullmatch(r"(.+)\.([avw])", name):
-        meter, moves = (re.search(WORDS["patterns"][one], words_of(letter[1])[0]) for one in ("meter", "motion"))
+        meter, moves = (says(one, words_of(letter[1])[0]) for one in ("meter", "motion"))
         return name if (meter if field.joined else not moves) else letter[2]
     topic = re.match(
         r"(/[^.\[]+(?:\[[^\]]+\])?|(?!linear\.|angular\.)[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", name

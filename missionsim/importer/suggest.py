@@ -6,30 +6,31 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
-from keyword import iskeyword
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from missionsim.errors import InputError
-from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_further, suggest_motion, suggest_power
+from missionsim.importer.draft import Draft, quoted
 from missionsim.importer.long_tables import recognised, signals_of
 from missionsim.importer.one_clock import one_clock
-from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all, guess_role, size_of
+from missionsim.importer.roles import Field, Guess, fields_of, guess_all, known_unit, says, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
-from missionsim.importer.suggest_motion import quoted
-from missionsim.importer.suggest_names import from_names
-from missionsim.importer.suggest_runs import join_runs, recognised_runs, table_of_runs
-from missionsim.importer.suggest_time import seconds_and_nanoseconds, suggest_time
+from missionsim.importer.suggest_rows import (
+    join_runs,
+    recognised_runs,
+    seconds_and_nanoseconds,
+    suggest_time,
+    table_of_runs,
+)
 from missionsim.labels import Labels
 from missionsim.logs.clean import in_turn
 from missionsim.logs.raw import Remark
 from missionsim.logs.readers import Options, Topic, reader_of, run_of
-from missionsim.physics import Array
 
 _MOST_ROWS = 200_000
 
@@ -46,77 +47,6 @@ class Suggestion:
     """What was not found and has to be filled in before the map can be used."""
     remarks: tuple[str, ...] = ()
     """What else was seen."""
-
-
-@dataclass
-class Draft:
-    """A map in the making."""
-
-    fields: dict[str, Field]
-    """Field → what was read of it; fields of joined files as ``file.column``."""
-    direct: bool
-    """Whether formulas may name the columns themselves (a single table)."""
-    time_s: Array | None = None
-    """Times of the rows of a single table, once they are known."""
-    _: KW_ONLY
-    signals: dict[str, str] = field(default_factory=dict)
-    fills: dict[str, str] = field(default_factory=dict)
-    head: dict[str, str] = field(default_factory=dict)
-    let: dict[str, str] = field(default_factory=dict)
-    columns: dict[str, tuple[str, Guess]] = field(default_factory=dict)
-    missing: list[str] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
-    clock: str = "own"
-    clocks: dict[str, str] = field(default_factory=dict)
-    """Both: kind of the times of a table, and of each of several files by its short name."""
-    _totals: dict[str, str] = field(default_factory=dict)
-    """Helper that is a sum → what it is called as a field."""
-
-    def best(self, role: str, least: float = 0.3) -> list[Guess]:
-        """The guesses for a role, best first, also of fields that another role fits better."""
-        used = {name for _, guess in self.columns.values() for name in guess.field.split("\n")} | set(
-            self.signals.values()
-        )
-        guesses = [guess_role(one, ROLES[role]) for one in self.fields.values() if one.name not in used]
-        found = [guess for guess in guesses if guess is not None and guess.score > least]
-        return sorted(found, key=lambda guess: (-guess.score, len(guess.field)))
-
-    def values(self, name: str, unit: str = "") -> Array:
-        """Numbers of a field in the glossary's unit."""
-        return np.asarray(self.fields[name].values, dtype=np.float64) * size_of(unit)
-
-    def ref(self, name: str, alias: str) -> str:
-        """How a formula names a field: itself, or a short name in `signals`."""
-        if self.direct and identifier(name) == name and name not in FUNCTIONS and name != "pi" and not iskeyword(name):
-            return name
-        for known, there in (*self.signals.items(), *self._totals.items()):
-            if there == name:
-                return known
-        taken = {identifier(other) for other in self.fields} if self.direct else set()
-        while alias in taken or alias in self.signals or alias in FUNCTIONS or iskeyword(alias):
-            alias += "_"
-        self.signals[alias] = name
-        return alias
-
-    def total(self, name: str, alias: str, fields: Sequence[str], factors: Sequence[float] = ()) -> str:
-        """The sum of fields of one table or topic, each times its factor, as a helper; what it is called as a field."""
-        first, sizes = self.fields[fields[0]], factors or [1.0] * len(fields)
-        terms = [self.ref(one, f"{alias}_{i}") for i, one in enumerate(fields, 1)]
-        terms = [f"{term} * {size:g}" if size != 1.0 else term for term, size in zip(terms, sizes, strict=True)]
-        values = np.sum([size * self.values(one) for one, size in zip(fields, sizes, strict=True)], axis=0)
-        full = name if self.direct else f"{first.name.rpartition('.')[0]}.{name}"
-        self.let[name], self._totals[name] = " + ".join(terms), full
-        self.fields[full] = replace(first, name=full, count=len(values), values=values, title="")
-        return full
-
-    def column(self, name: str, formula: str, guess: Guess) -> None:
-        """A column of the log; the first that is given stays."""
-        if name in self.columns:
-            return
-        formula = quoted(formula)
-        if guess.unit:
-            formula = f"{{value: {formula}, unit: {quoted(guess.unit)}}}"
-        self.columns[name] = (formula, guess)
 
 
 _BATTERY = re.compile(r"(power|voltage|current|energy)_robot_(?=[wva]h?\Z)")
@@ -371,3 +301,46 @@ def _text(draft: Draft, paths: Sequence[Path], used: set[str]) -> str:
     if left:
         lines.append("# not used: " + ", ".join(left[:30]) + (f", … ({len(left)} in all)" if len(left) > 30 else ""))
     return "\n".join(lines) + "\n"
+
+
+_LOAD = re.compile(r"(?i)[a-z]*[-_]?(\d+(?:\.\d+)?)(kg|g)\Z")
+
+
+def from_names(draft: Draft, paths: Sequence[Path]) -> None:
+    """Add floor and payload where the names of several files, or of their folders, tell them; other words that differ
+    from file to file, of which each has one, are told."""
+    for words in _differing(paths):
+        loads = {word: found for word in words if (found := _LOAD.match(word))}
+        listed = ", ".join(map(quoted, words))
+        if len(loads) == len(words) and "payload_kg" not in draft.columns:
+            values = ", ".join(
+                f"{quoted(word)}: {float(found[1]) * size_of(known_unit(found[2].lower())):g}"
+                for word, found in loads.items()
+            )
+            guess = Guess("payload", "", "", 0.6, "the names of the files", "a guess")
+            draft.columns["_load"] = (f"{{file_name: [{listed}]}}", guess)
+            draft.columns["payload_kg"] = (f"{{lookup: _load, values: {{{values}}}}}", guess)
+        elif any(says("floor", word) for word in words) and "surface" not in draft.columns:
+            guess = Guess("surface", "", "", 0.6, "the names of the files", "a guess")
+            draft.columns["surface"] = (f"{{file_name: [{listed}]}}", guess)
+        else:
+            told = f"the names of the files differ: `condition: {{file_name: [{listed}]}}` makes a column of it"
+            draft.remarks.append(told)
+
+
+def _differing(paths: Sequence[Path]) -> list[list[str]]:
+    """Words that stand at one place of the names, or of those of the folders, and differ: each in several files, or one
+    that is a load; no numbers, dates or days."""
+    if len(paths) < 3 or len({path.suffix for path in paths}) > 1:
+        return []
+    found: list[list[str]] = []
+    for names in ([run_of(path) for path in paths], [path.resolve().parent.name for path in paths]):
+        parts = [re.split(r"[_\s-]+", name) for name in names]
+        if len({len(part) for part in parts}) > 1:
+            continue
+        for place in zip(*parts, strict=True):
+            words = list(dict.fromkeys(place))
+            plain = all(re.fullmatch(r"[^\W\d_]{3,}", word) or _LOAD.match(word) for word in words)
+            if plain and 1 < len(words) < len(paths) and words not in found:
+                found.append(words)
+    return found

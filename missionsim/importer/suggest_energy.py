@@ -4,26 +4,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.importer.roles import Field, Guess, size_of, words_of
+from missionsim.importer.draft import Draft
+from missionsim.importer.roles import Field, Guess, says, size_of, words_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import without_resets
 from missionsim.physics import Array
 
-if TYPE_CHECKING:
-    from missionsim.importer.suggest import Draft
-
-_OUT = (
-    r"\b(discharg\w*|out|consum\w*|used|traction|driv\w+|delivered|drawn|spent|entlad\w*|entnommen\w*|verbrauch\w*)\b"
-)
-_BACK = (
-    r"\b(charg(?!er)\w*|regen\w*|recup\w*|recover\w*|rekup\w*|brak\w*|geladen\w*|eingespeist\w*|returned|fed back)\b"
-)
-_PER_ROW, _TREMBLES = r"\bper (step|row|sample|interval|record|cycle)\b", 20.0
-"""Energy of each row by its name; or by values that go up and down by so many times their range in all (assumed)."""
+_TREMBLES = 20.0
+"""Of the energy of each row: values that go up and down by so many times their range in all (assumed)."""
 
 _FEWEST = 20
 """Rows in which two meters must be known to say that they never run at once (assumed)."""
@@ -34,7 +25,7 @@ _GROWS = 0.8
 def goes_back(guess: Guess) -> bool:
     """Whether a name says that its energy goes back into the battery."""
     words = words_of(guess.field)[0]
-    return re.search(_BACK, words) is not None and re.search(_OUT, words) is None
+    return says("back", words) and not says("out", words)
 
 
 def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Guess, str]:
@@ -44,7 +35,7 @@ def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Gue
     ref, mine = draft.ref(guess.field, alias), words_of(guess.field)[0]
     back = [one for one in alike if goes_back(one) or re.search(r"\bin\b", words_of(one.field)[0])]
     back = [one for one in back if _by_turns(draft, guess, one)]
-    if back and re.search(_OUT, mine):
+    if back and says("out", mine):
         other = draft.values(back[0].field)
         known = other[np.isfinite(other)]
         flow = float(known[-1] - known[0]) if guess.role == "energy" else float(known.sum())
@@ -96,14 +87,12 @@ def from_counter(draft: Draft) -> list[str]:
     found = [guess for guess in draft.best("energy", 0.7) if not goes_back(guess)]
     words = {guess.field: words_of(guess.field)[0] for guess in found}
     if any(re.search(r"\bin\b", one) for one in words.values()):  # of what goes in and what goes out the latter
-        found.sort(key=lambda guess: not re.search(_OUT, words[guess.field]))
+        found.sort(key=lambda guess: not says("out", words[guess.field]))
     for guess in found[:1]:
         values = draft.values(guess.field)
         step = np.diff(values[np.isfinite(values)])
         travelled = float(np.abs(np.diff(without_resets(values)[0][np.isfinite(values)])).sum())
-        if re.search(_PER_ROW, words[guess.field]) or (
-            len(step) > 50 and travelled > _TREMBLES * float(np.ptp(values))
-        ):
+        if says("each_row", words[guess.field]) or (len(step) > 50 and travelled > _TREMBLES * float(np.ptp(values))):
             return _per_row(draft, guess)
         falls = int((step < 0).sum()) > int((step > 0).sum())
         _ask_for_unit(draft, guess)
@@ -147,7 +136,6 @@ def _per_row(draft: Draft, guess: Guess) -> list[str]:
     return [guess.field]
 
 
-_CELL = r"(?<![a-z])[uv]?(cells?|zellen?)(?![a-z])"
 _CELL_V = (1.5, 4.5)
 """Volts of a cell at least and at most (assumed): so it is told where its name says no unit."""
 
@@ -155,7 +143,7 @@ _CELL_V = (1.5, 4.5)
 def sum_of_cells(draft: Draft, volts: list[Guess], needed: bool) -> list[Guess]:
     """Voltages, none of them that of one cell: where one is needed and only cells are logged that of all together, with
     a question."""
-    packs = [guess for guess in volts if not re.search(_CELL, words_of(guess.field)[0])]
+    packs = [guess for guess in volts if not says("cell", words_of(guess.field)[0])]
     if packs or not needed:
         return packs
     groups: dict[str, list[Guess]] = {}
@@ -179,7 +167,7 @@ def sum_of_cells(draft: Draft, volts: list[Guess], needed: bool) -> list[Guess]:
 def _unit_of_cell(one: Field) -> str:
     """V or mV for a field that is the voltage of a cell by its name, and its unit or size; else nothing."""
     words, unit = words_of(one.name)
-    if not re.search(_CELL, words) or not re.search(r"\d", one.name) or isinstance(one.values, Labels):
+    if not says("cell", words) or not re.search(r"\d", one.name) or isinstance(one.values, Labels):
         return ""
     level = float(np.nanmedian(one.values)) if np.isfinite(one.values).any() else 0.0
     units = [unit] if unit else ["V", "mV"]

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from missionsim.glossary import column_of
-from missionsim.importer.roles import Field, Guess, folded, guess_all, words_of
+from missionsim.importer.draft import Draft
+from missionsim.importer.roles import Field, Guess, folded, guess_all, says, words_of
 from missionsim.labels import Labels
 from missionsim.physics import Array
 
-if TYPE_CHECKING:
-    from missionsim.importer.suggest import Draft
-
 _MOST = 12
 """Further columns at most (assumed): each one more is one more that chance may find."""
-_ROLES = (
+_ROLES = [
     "power",
     "voltage",
     "current",
@@ -30,18 +27,8 @@ _ROLES = (
     "heading",
     "elevation",
     "distance",
-)
+]
 """What tells the power again, or where and when it was."""
-_NO_CAUSE = re.compile(
-    r"\b(soc|charge|charging|percent\w*|battery|batt?|capacity|seq\w*|index|ids?|count\w*|frame|row|nr|no|lat\w*|lon\w*"
-    r"|gps|utm|stamp\w*|header|layout|covariance|quat\w*|q ?[0-3]|orientation|status|state|mode|errors?|valid|checksum"
-    r"|crc|cells?|ticks?|enc(oders?)?|pulses?)\b"
-)
-_USUAL = re.compile(
-    r"(sensor|nav|geometry|tf2?|diagnostic|rosgraph|lifecycle|trajectory|visualization|action|control|stereo|shape)_?msgs/"
-    r"|(rcl_interfaces|rosgraph|theora\w*|bond)"
-)
-"""Types of messages of which the fields that tell something are known."""
 _SAME = 0.98
 """Correlation from which a number tells what a column tells already (assumed)."""
 _NEAR = 0.02
@@ -72,14 +59,14 @@ def suggest(draft: Draft) -> None:
 def _tells(draft: Draft, one: Field) -> bool:
     """Whether a field is a number that changes, of no usual message, and there while the others are."""
     words = words_of(one.name)[0]
-    if isinstance(one.values, Labels) or folded(one) is not None or _NO_CAUSE.search(words):
+    if isinstance(one.values, Labels) or folded(one) is not None or says("no_cause", words):
         return False
     guess = guess_all([one]).get(one.name)
     if guess is not None and guess.role in _ROLES:
         return False
     if draft.direct:
         return True
-    if "/msg/" not in one.title or _USUAL.match(one.title) or one.time_s is None:
+    if "/msg/" not in one.title or says("usual_message", one.title) or one.time_s is None:
         return False
     times = [known for name in draft.signals.values() if (known := draft.fields[name].time_s) is not None]
     return bool(times) and _beside(one, times)

@@ -1,23 +1,18 @@
-"""Suggestions for a power of several meters: of motor drivers, of parts of what a battery feeds."""
+"""Suggestions for a power of several meters, of motor drivers and of parts; and what a map says where there is none."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from missionsim.importer.roles import UNITS, Guess, size_of, words_of
+from missionsim.importer.draft import Draft
+from missionsim.importer.roles import ROLES, UNITS, Guess, folded, says, size_of, words_of
+from missionsim.importer.suggest_energy import goes_back
 from missionsim.labels import Labels
 
-if TYPE_CHECKING:
-    from missionsim.importer.suggest import Draft
-
-WHOLE = r"\b(battery|batt?|bus|pack|system|total|robot|main|input)\b"
-"""A meter of all that a battery feeds."""
-_NO_METER = r"\b(limit|max|min|target|set ?point|charg\w*|solar|dock|rated|nominal)\b"
-_CONVERTER = r"\b(in|out|input|output|primary|secondary|prim|sec)\b"
-"""Of its two sides one feeds the other."""
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 _LETTERS = {"voltage": r"volt(age|s)?", "current": r"current|amps?"}
 
@@ -65,8 +60,8 @@ def from_meters(draft: Draft, pair: tuple[Guess, Guess]) -> list[str]:
     `logic_voltage` beside `motor_voltage`; with a question."""
     chosen, pairs = (pair[0].field, pair[1].field), _pairs(draft)
     words = [f"{words_of(volts)[0]} {words_of(amps)[0]}" for volts, amps in pairs]
-    more = [one for one, called in zip(pairs, words, strict=True) if not re.search(_NO_METER, called)]
-    whole = not _stem(chosen[0], "voltage") or any(re.search(f"{WHOLE}|{_CONVERTER}", called) for called in words)
+    more = [one for one, called in zip(pairs, words, strict=True) if not says("no_meter", called)]
+    whole = not _stem(chosen[0], "voltage") or any(says("all_fed", one) or says("converter", one) for one in words)
     if not draft.direct or chosen not in more or len(more) < 2 or whole:
         return []
     told = ", ".join(f"'{_stem(volts, 'voltage')}'" for volts, _ in more)
@@ -92,9 +87,9 @@ def _rest(draft: Draft, drivers: list[tuple[str, str]]) -> list[tuple[str, str]]
     """The battery's voltage and each further current of the drivers' message, that of a computer or of ports."""
     topic = drivers[0][0].rpartition(".")[0]
     inside = {kind: [n for n in names if n.rpartition(".")[0] == topic] for kind, names in _named(draft).items()}
-    volts = next((name for name in inside["voltage"] if re.search(WHOLE, words_of(name)[0])), "")
+    volts = next((name for name in inside["voltage"] if says("all_fed", words_of(name)[0])), "")
     taken = {current for _, current in drivers}
-    more = [i for i in inside["current"] if i not in taken and not re.search(_NO_METER, words_of(i)[0])]
+    more = [i for i in inside["current"] if i not in taken and not says("no_meter", words_of(i)[0])]
     return [(volts, i) for i in more if volts and np.nanmean(draft.values(i)) > 0]
 
 
@@ -114,3 +109,59 @@ def from_sides(draft: Draft) -> list[str]:
     if late and draft.direct:
         draft.head["keep"] = " and ".join(f"{name} > 0" for name in late)
     return [name for pair in drivers for name in pair]
+
+
+def current_alone(draft: Draft, volts: Sequence[Guess], amps: Sequence[Guess]) -> list[str]:
+    """A power of a current and a voltage that has to be written, where a draft has no voltage; the field of it."""
+    if volts or not amps:
+        return []
+    guess = amps[0]
+    sign = "-" if np.nanmean(draft.values(guess.field)) < 0 else ""
+    factor = f" * {size_of(guess.unit):g}" if size_of(guess.unit) != 1.0 else ""
+    message = f"'{guess.field}' is a current, and no voltage was found: put the battery's in the place of VOLTS"
+    draft.missing.append(message)
+    formula = f"VOLTS * {sign}{draft.ref(guess.field, 'amps')}{factor}"
+    draft.columns["power_robot_w"] = (formula, Guess("power", guess.field, "", 0.0, message, "not found"))
+    return [guess.field]
+
+
+def with_larger_parts(draft: Draft, power: list[Guess]) -> list[Guess]:
+    """Powers, the first of which is the sum with those of other parts, with a question, where one of a part is larger
+    on average: so it is not all that the battery gives."""
+    if not power or not draft.direct or re.search(ROLES["power"].prefer, words_of(power[0].field)[0]):
+        return power
+    first, parts = power[0], list[tuple[str, float]]()
+    for name, one in draft.fields.items():
+        words, unit = words_of(name)
+        if name == first.field or isinstance(one.values, Labels) or folded(one) is not None:
+            continue
+        called = re.search(ROLES["power"].words, words) and says("eats", words) and not says("no_mean", words)
+        if called and (not unit or UNITS[unit][0] == "power"):
+            parts.append((name, size_of(unit) / size_of(first.unit)))
+    means = {name: factor * float(np.nanmean(draft.values(name))) for name, factor in parts}
+    larger = max(means, key=means.__getitem__, default="")
+    if not larger or means[larger] <= 1.02 * float(np.nanmean(draft.values(first.field))):
+        return power
+    told = f"'{first.field}' is less than '{larger}', so it is not all that the battery gives: all were added up"
+    draft.missing.append(f"{told}; is anything fed beside them?")
+    terms = {first.field: 1.0} | dict(parts)
+    total = draft.total("parts_w", "part", list(terms), list(terms.values()))
+    return [replace(first, field=total, sure="a guess", score=1.0, why=f"the sum of {', '.join(terms)}"), *power]
+
+
+def no_power(draft: Draft, volts: Sequence[Guess]) -> None:
+    """Say that there is no power, and what there is."""
+    message = "no column looks like power, or voltage and current: write one in the place of POWER"
+    back = [guess.field for role in ("power", "energy") for guess in draft.best(role) if goes_back(guess)]
+    if back:
+        message += f" ('{back[0]}' is what goes back into the battery)"
+    elif charge := draft.best("charge"):
+        why = ", no energy" if volts else ": without a voltage there is no energy in it"
+        message += f" ('{charge[0].field}' is a charge{why})"
+    elif name := next((name for name in draft.fields if says("gauge", words_of(name)[0])), ""):
+        message += f" ('{name}' is a gauge: there are no watts in it)"
+    elif bare := next((name for name in draft.fields if re.search(r"\.col_\d+\Z", name)), ""):
+        alias = bare.partition(".")[0]
+        message += f" (a file without a header: its third column is called '{alias}.#3' in signals)"
+    draft.missing.append(message)
+    draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))

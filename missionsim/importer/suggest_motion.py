@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from missionsim.importer import transform
+from missionsim.importer.draft import Draft, quoted
 from missionsim.importer.long_tables import written_at_changes
-from missionsim.importer.roles import WORDS, Field, Guess, folded, size_of, words_of
+from missionsim.importer.roles import WORDS, Field, Guess, folded, says, size_of, words_of
 from missionsim.importer.sources import identifier
 from missionsim.importer.suggest_energy import delivered, follows
-from missionsim.importer.suggest_turn import from_heading
-from missionsim.importer.suggest_way import from_counts, from_degrees
-from missionsim.importer.suggest_wheels import from_wheels, numbered_wheels, path_of
+from missionsim.importer.suggest_ways import (
+    from_counts,
+    from_degrees,
+    from_heading,
+    from_wheels,
+    numbered_wheels,
+    path_of,
+)
 from missionsim.labels import Labels
-
-if TYPE_CHECKING:
-    from missionsim.importer.suggest import Draft
 
 
 def suggest(draft: Draft) -> None:
@@ -329,11 +330,11 @@ def suggest_others(draft: Draft) -> None:
         payload = Guess("payload", weight, "", 1.0, "the weight of the first load, none without a load", "likely")
         draft.column("payload_kg", f"where({count} > 0, {draft.ref(weight, 'weight')}, 0)", payload)
     used, total = {guess.field for _, guess in draft.columns.values()}, delivered(draft)
-    for role, end, pattern in (("power", "w", _CONSUMERS), ("current", "a", _FED)):
+    for role, end, pattern in (("power", "w", "consumers"), ("current", "a", "fed")):
         for guess in draft.best(role):
             words, _ = words_of(guess.field)
             known = draft.values(guess.field)[np.isfinite(draft.values(guess.field))]
-            if guess.field in used or not re.search(pattern, words) or re.search("request|max|min", words):
+            if guess.field in used or not says(pattern, words) or re.search("request|max|min", words):
                 continue
             if not np.ptp(known) or (re.search(r"\bmotors?\b", words) and follows(draft.values(guess.field), total)):
                 continue
@@ -356,19 +357,8 @@ def suggest_others(draft: Draft) -> None:
             draft.column(f"on_{component}", ref, guess)
 
 
-_FED = r"\b(heat\w*|air ?con\w*|cpu|gpu|servo\w*|fan|pump|arm|gripper|manipulator|tool|winch|lift|lights?|lamp|lidar)\b"
-_CONSUMERS = rf"{_FED}|\b(motors?|load|charger)\b"
-"""What has a current, or a power, of its own beside the motors'; of these the current follows the power's."""
-_ON = re.compile(r"\b(on|active|enabled|running|true|open|started|working)\b", re.IGNORECASE)
-_OFF = re.compile(r"\b(off|inactive|disabled|stopped|false|closed|idle|unconfigured|finalized)\b", re.IGNORECASE)
-_SWITCH = re.compile(r"(on|enabled?|active|switch|state|running|powered|label|status|data|is|goal|current)\Z")
-_NO_SWITCH = (
-    r"\b(joy|calib\w*|previous|start|charg\w*|battery|emergency|alert|driving|count|present|localized|paused|safety)\b"
-)
-
-
 def _is_on(word: str) -> bool:
-    return _ON.search(word) is not None and _OFF.search(word) is None
+    return says("on", word) and not says("off", word)
 
 
 def switch_name(one: Field) -> str | None:
@@ -377,23 +367,20 @@ def switch_name(one: Field) -> str | None:
     words = words_of(last)[0].split() if last else []
     if isinstance(one.values, Labels):
         names = one.values.names
-        if len(names) < 2 or len(names) > 8 or not any(map(_is_on, names)) or not any(map(_OFF.search, names)):
+        if (
+            len(names) < 2
+            or len(names) > 8
+            or not any(map(_is_on, names))
+            or not any(says("off", name) for name in names)
+        ):
             return None
     elif set(np.unique(one.values[np.isfinite(one.values)])) != {0.0, 1.0}:
         return None
-    marked = any(map(_SWITCH.match, words)) or isinstance(one.values, Labels)
-    left = [word for word in words if not _SWITCH.match(word)]
+    marked = any(says("switch", word) for word in words) or isinstance(one.values, Labels)
+    left = [word for word in words if not says("switch", word)]
     if not left:  # /laser/transition_event.goal_state.label
         marks = ("transition", "event", "goal", "state")
         left = [word for word in words_of(topic.split(".")[0])[0].split() if word not in marks]
-    if not marked or not left or re.search(_NO_SWITCH, words_of(one.name)[0]):
+    if not marked or not left or says("no_switch", words_of(one.name)[0]):
         return None
     return identifier("_".join(left))
-
-
-def quoted(text: str) -> str:
-    """A text as YAML: bare where it is a word or a plain formula."""
-    plain = re.fullmatch(r"[A-Za-z_/][\w ./+*()-]*", text) is not None and text.lower() not in (
-        "yes", "no", "on", "off", "true", "false", "null", "y", "n",
-    )  # fmt: skip
-    return text if plain else json.dumps(text, ensure_ascii=False)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import ROLES, Guess, folded, words_of
+from missionsim.importer.draft import Draft
+from missionsim.importer.roles import ROLES, Guess, folded, says, words_of
 from missionsim.importer.suggest_energy import (
     from_charge,
     from_counter,
@@ -20,20 +20,17 @@ from missionsim.importer.suggest_energy import (
     sum_of_cells,
     sum_of_currents,
 )
-from missionsim.importer.suggest_meters import WHOLE, from_meters, from_sides, sides
-from missionsim.importer.suggest_missing import current_alone, no_power, with_larger_parts
+from missionsim.importer.suggest_meters import (
+    current_alone,
+    from_meters,
+    from_sides,
+    no_power,
+    sides,
+    with_larger_parts,
+)
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
-if TYPE_CHECKING:
-    from missionsim.importer.suggest import Draft
-
-
-_PART = (
-    r"\b(max|min|requested|rider|human|pedal\w*|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health"
-    r"|mech\w*|mecan(?!um)\w*|shaft|wellen?\w*|arbre|rated|nominale?|nenn\w*|peak)\b"
-)
-_ALTERNATING = r"\b(apparent|reactive|power factor|factor|pf|cos ?phi)\b"
 _SIDE = r"\b(left|right|front|rear|fl|fr|rl|rr|l|r|links|rechts|gauche|droite)\b"
 _BY_GLOSSARY, _OF_A_PART = 3.0, 1.3
 """Score of a name of the glossary, and how much less it is where it names no battery or total: another one may."""
@@ -41,7 +38,7 @@ _BY_GLOSSARY, _OF_A_PART = 3.0, 1.3
 
 def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
-    power = [guess for guess in draft.best("power", 0.7) if not re.search(_PART, words_of(guess.field)[0])]
+    power = [guess for guess in draft.best("power", 0.7) if not says("no_battery", words_of(guess.field)[0])]
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
     power = [guess for guess in power if not goes_back(guess) and not _of_a_quaternion(draft, guess.field)]
     power.sort(key=lambda guess: (folded(draft.fields[guess.field]) == "constant", -_as_a_whole(guess)))
@@ -55,7 +52,7 @@ def suggest(draft: Draft) -> None:
     power = power if pair is not None else with_larger_parts(draft, power)
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
-    elif pair is not None and (re.search(WHOLE, _called(draft, pair[1].field)) or not sides(draft)):
+    elif pair is not None and (says("all_fed", _called(draft, pair[1].field)) or not sides(draft)):
         sources = from_meters(draft, pair) or _from_pair(draft, *pair)
     else:
         sources = from_sides(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
@@ -185,7 +182,7 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
         ratio = float(np.median(watts[known] / product[known])) if known.any() else np.nan
         if 0.85 < abs(ratio) < 1.18:
             guess = replace(guess, sure="sure", why=f"{guess.why}; voltage × current agrees")
-        elif 0.2 < abs(ratio) < 1 and any(re.search(_ALTERNATING, words_of(name)[0]) for name in draft.fields):
+        elif 0.2 < abs(ratio) < 1 and any(says("alternating", words_of(name)[0]) for name in draft.fields):
             told = f"{guess.why}; {abs(ratio):.2g} times voltage × current, which are alternating"
             guess = replace(guess, sure="likely", why=told)
         elif 0.85 < abs(ratio) * 1e-3 < 1.18:
