@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from missionsim.effects.library import all_effects
+from missionsim.identify.predictive import left_by_others
+from missionsim.identify.settings import TOLD_APART
 from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.covariates import MOTION, is_switch, logged_name
 from missionsim.runs.run import Run
 
-TOLD_APART = 0.01
-"""Part of the squares of a cause over runs that another one must leave for both to be told apart at all (assumed)."""
 LEAST_KEPT = 1.0 / 3.0
 """Part of what tells them apart that the fitted runs keep (assumed): a quarter of eight runs takes more of one cause in
 one case of fourteen, of a drive made to tell two apart always."""
@@ -30,11 +30,11 @@ def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
     """
     names, sums = _causes(logs)
     total = sums.sum(axis=0)
-    whole = _apart(total)
+    whole = left_by_others(total, 1)
     asked = whole > TOLD_APART * np.diag(whole)[:, None]
 
     def kept(rest: Array) -> Array:
-        return np.divide(_apart(rest), whole, out=np.ones(rest.shape[:-2] + whole.shape), where=asked)
+        return np.divide(left_by_others(rest, 1), whole, out=np.ones(rest.shape[:-2] + whole.shape), where=asked)
 
     last = list(range(len(logs) - count, len(logs)))
     gone = kept(total - sums[last].sum(axis=0)) < LEAST_KEPT
@@ -81,16 +81,3 @@ def _causes(logs: Sequence[Run]) -> tuple[list[str], Array]:
 
     # of what some rows do not know nothing is said: NaN is never more
     return [name for name, _ in causes], np.array([products(log) for log in logs])
-
-
-def _apart(total: Array) -> Array:
-    """Squares of each cause over time that another one leaves, shape (..., causes, causes), on the diagonal all."""
-    gram = total[..., 1:, 1:] - total[..., 1:, :1] * total[..., :1, 1:] / total[..., :1, :1]
-    alone = np.diagonal(gram, axis1=-2, axis2=-1)
-    varies = alone > 1e-9 * np.diagonal(total, axis1=-2, axis2=-1)[..., 1:]
-    alone = np.where(varies, alone, 0.0)
-    other, counts = (some[..., None, :] for some in (np.where(varies, alone, 1.0), varies))
-    rest = alone[..., :, None] - np.where(counts, gram**2 / other, 0.0)
-    every = np.arange(rest.shape[-1])
-    rest[..., every, every] = alone
-    return np.asarray(rest)

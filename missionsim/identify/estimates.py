@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from missionsim.identify.data import Constraints
-from missionsim.identify.evidence import cause_changes_in, cause_is_constant
+from missionsim.identify.evidence import cause_changes_in, cause_is_constant, driven_for
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Gram, all_sets, set_gains, single_gains
@@ -322,7 +322,7 @@ def _similar(choice: Choice, number: int, sizes: Mapping[int, float]) -> tuple[s
         similar = (*similar, *(name for name in loads if name != candidate.effect))
     similar = (*similar, *(name for name in candidate.may_be(size_w) if name not in (*similar, candidate.effect)))
     hardly = choice.evidence[own[0]].p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0])
-    if not similar and hardly and not cause_changes_in(model, own[0]).any():
+    if not similar and hardly and not driven_for(model, own[0]).any():
         # the misfit of the largest effect in the model may differ from run to run
         total: dict[int, float] = {}
         for k in model.chosen:

@@ -209,6 +209,13 @@ def cause_changes_in(model: Model, column: int) -> NDArray[np.bool_]:
     return np.array([np.nanvar(value) > least for value in values])
 
 
+def driven_for(model: Model, column: int) -> NDArray[np.bool_]:
+    """In which runs the cause of a column changes that is constant in most, or that of another effect in the model,
+    shape (runs,): with and without the load on one floor, the rest of what the load seemed to cost is the floor's."""
+    changes = np.array([cause_changes_in(model, k) for k in {column, *model.chosen}])
+    return np.asarray(np.any(changes[np.mean(changes, axis=1) < 0.5], axis=0))
+
+
 def rests_on_one_run(model: Model, column: int) -> int | None:
     """The run without which hardly anything speaks for a column; None where others do."""
     gram = model.gram

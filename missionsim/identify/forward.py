@@ -341,7 +341,7 @@ class _Search:
             shift = float(shares[0]) * float(squares.whole[1 + q, 1 + squares.q + own[0]]) / parameter
             beyond = bool(shift > -1.0 and abs(shift) > limit * squares.prior_sd[q])
         part = (before.total - after.total) / max(before.total, 1e-300)
-        family = FAMILY_LEVEL if folds == runs and part > LEAST_FALL else STRICT_LEVEL
+        family = FAMILY_LEVEL if squares.by_run and part > LEAST_FALL else STRICT_LEVEL
         passed = {
             # what bends a curve where few rows lie is seen in the energy of runs first
             "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL)

@@ -30,6 +30,9 @@ from missionsim.identify.settings import (
     ROUGH,
     SEVERAL_RUNS,
     SHORTEST_FOLD_S,
+    SHOWN_ALONE,
+    STRETCHES,
+    TOLD_APART,
 )
 from missionsim.physics import Array
 
@@ -89,10 +92,11 @@ class LeastSquares:
         rows = np.vstack([design.residual, design.gradient[:q], design.phi, np.ones_like(design.y), design.y])
         pieces = -(-FEWEST_FOLDS // len(design.runs)) if len(design.runs) < FEWEST_FOLDS - 2 else 1
         least = -(-FEWEST_FOLDS // (2 * len(design.runs)))
+        shows = shows_alone(design) if pieces == 1 else np.zeros(len(design.runs), dtype=bool)
         folds: list[tuple[slice, int]] = []
         for number, run in enumerate(design.runs):
             length = float(design.duration_s[run].sum())
-            count = max(least, min(pieces, int(length // SHORTEST_FOLD_S)))
+            count = max(least, min(STRETCHES if shows[number] else pieces, int(length // SHORTEST_FOLD_S)))
             edges = np.linspace(run.start, run.stop, count + 1).astype(int)
             folds += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
         sums = np.stack([(rows[:, part] * design.duration_s[part]) @ rows[:, part].T for part, _ in folds])
@@ -103,6 +107,15 @@ class LeastSquares:
     def q(self) -> int:
         """Number of base parameters."""
         return len(self.prior_sd)
+
+    @property
+    def _enough_runs(self) -> bool:
+        return int(self.run.max()) + 1 >= FEWEST_FOLDS - 2
+
+    @property
+    def by_run(self) -> bool:
+        """Whether runs are the sample, not stretches of few."""
+        return self._enough_runs or len(self.sums) == int(self.run.max()) + 1
 
     @cached_property
     def whole(self) -> Array:
@@ -137,7 +150,7 @@ class LeastSquares:
         value = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
         # one that takes power away may well turn: calibration without what is missing had bent it below nought
         least = np.where(self.whole[-2, 1 : 1 + self.q] < 0.0, -np.inf, -1.0)
-        turned = np.any(value[:, : self.q] < least, axis=1) & (int(self.run.max()) + 1 >= FEWEST_FOLDS - 2)
+        turned = np.any(value[:, : self.q] < least, axis=1) & self._enough_runs
         for i in np.flatnonzero(turned):
             gone = np.zeros(value.shape[1], dtype=bool)
             while np.any(value[i, : self.q] < least):
@@ -258,6 +271,39 @@ class LeastSquares:
             if np.all(moved[self.q :] * value[self.q :] >= 0.0):  # no effect may change its sign for it
                 return moved
         return value
+
+
+def shows_alone(design: Design) -> NDArray[np.bool_]:
+    """Which runs tell two effects apart by what changes within them, more than all others together, shape (runs,).
+
+    A drive with and without the load on one floor is no draw of what runs are like: without it nothing is predicted.
+    """
+    effect = np.array([column.candidate for column in design.layout.columns], dtype=np.intp)
+    if len(effect) != len(design.phi):  # of some columns it is not asked
+        return np.zeros(len(design.runs), dtype=bool)
+    rows = np.vstack([np.ones_like(design.y), design.gradient[: len(design.layout.parameters)], design.phi])
+    sums = np.stack([(rows[:, run] * design.duration_s[run]) @ rows[:, run].T for run in design.runs])
+    known = len(rows) - len(effect)
+    within, whole = (left_by_others(some, known) for some in (sums, sums.sum(axis=0)))
+    total = np.diagonal(sums.sum(axis=0))[known:]
+    asked = (whole > TOLD_APART * total[:, None]) & (effect[:, None] != effect)
+    return np.asarray(np.any(asked & (within > SHOWN_ALONE * whole), axis=(1, 2)))
+
+
+def left_by_others(sums: Array, known: int) -> Array:
+    """Squares of each column that `known` rows, which stand first, and one other column leave, and on the diagonal,
+    that the known rows alone leave; of sums of products (..., known + columns, known + columns), shape (..., columns,
+    columns)."""
+    base, cross = sums[..., :known, :known], sums[..., :known, known:]
+    gram = sums[..., known:, known:] - np.swapaxes(cross, -1, -2) @ np.linalg.pinv(base, hermitian=True) @ cross
+    alone = np.diagonal(gram, axis1=-2, axis2=-1)
+    varies = alone > 1e-9 * np.diagonal(sums, axis1=-2, axis2=-1)[..., known:]
+    alone = np.where(varies, alone, 0.0)
+    other, counts = (some[..., None, :] for some in (np.where(varies, alone, 1.0), varies))
+    rest = alone[..., :, None] - np.where(counts, gram**2 / other, 0.0)
+    every = np.arange(rest.shape[-1])
+    rest[..., every, every] = alone
+    return np.asarray(rest)
 
 
 def far_from_right(source: Source) -> LeastSquares | None:

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 from missionsim.identify.evidence import (
     Evidence,
-    cause_changes_in,
     cause_is_constant,
+    driven_for,
     evidence_of,
     nats_needed,
     predicts_left_out,
@@ -52,17 +52,10 @@ def gates(model: Model, evidence: Evidence) -> dict[str, bool]:
         "robust": evidence.p_robust < 2.0 * tail,
         "practical": abs(evidence.share) > settings.min_share or _of_left_out(model, column)[0] < HALVED,
         "clock": runs > 1 or not model.constraints.of_column(column).by_clock,
-        "several runs": alone is None or _driven_for_it(model, column, alone),
+        "several runs": alone is None or bool(driven_for(model, column)[alone]),
         # NaN for effects without a twin in the base
         "beyond recalibration": not abs(shift) <= settings.recalibration_limit,
     }
-
-
-def _driven_for_it(model: Model, column: int, run: int) -> bool:
-    """Whether in a run the cause of a column changes that is constant in others, or that of another one in the model:
-    with and without the load on one floor, the rest of what the load seemed to cost is the other floor's."""
-    constant = [k for k in {column, *model.chosen} if cause_is_constant(model, k)]
-    return any(cause_changes_in(model, k)[run] for k in constant)
 
 
 def last_gates(model: Model, evidence: Evidence) -> dict[str, bool]:

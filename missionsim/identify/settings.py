@@ -328,6 +328,13 @@ FEWEST_FOLDS = 8
 """With few runs each is cut into stretches of time: a jackknife over two or three values says nothing."""
 SHORTEST_FOLD_S = 30.0
 """No stretch is shorter than this [s]: it must hold more than one manoeuvre."""
+TOLD_APART = 0.01
+"""Part of the squares of a cause over all runs that another must leave for both to be told apart at all (assumed)."""
+SHOWN_ALONE = 0.5
+"""A run within which more than this part of what tells two effects apart lies is cut (assumed): without it the others
+say nothing of it."""
+STRETCHES = 4
+"""Stretches of such a run: a half of a drive, with the load and then without, would lack the other half."""
 INDEPENDENT_S = 20.0
 """Rows this far apart count as independent where a prior is weighed against the data [s], as in the robust blocks."""
 LEAST_FALL = 0.03

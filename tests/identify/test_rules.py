@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from missionsim.identify import estimates, rules, stepwise
+from missionsim.identify import estimates, evidence, stepwise
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, Constraints
 from missionsim.identify.design import make_source
@@ -114,14 +114,16 @@ def test_what_is_constant_in_runs_and_rests_on_one_of_them_is_kept_out(grade: Qu
     assert passed(one_cold_run({2}, part=0.5))["several runs"] is True
 
 
-@pytest.mark.parametrize(("of_other", "runs", "holds"), [([], {2}, False), ([1], {2}, True), ([1], {3}, False)])
+@pytest.mark.parametrize(("chosen", "driven"), [((0,), []), ((0, 1), [2]), ((0, 2), []), ((0, 1, 2), [2])])
 def test_a_run_in_which_the_cause_of_another_effect_changes_tells_both(
-    monkeypatch: pytest.MonkeyPatch, of_other: list[int], runs: set[int], holds: bool
+    monkeypatch: pytest.MonkeyPatch, chosen: tuple[int, ...], driven: list[int]
 ) -> None:
-    """The load on and off on one floor: the other floor's cost rests on that run, in which the floor stays."""
-    monkeypatch.setattr(rules, "cause_is_constant", lambda _, k: k in (0, *of_other))
-    monkeypatch.setattr(rules, "cause_changes_in", lambda _, k: [k == 1 and run in runs for run in range(4)])
-    assert rules._driven_for_it(SimpleNamespace(chosen=(0, 1)), 0, 2) is holds
+    """The load on and off on one floor: the other floor's cost rests on that run, in which it stays. What changes
+    in every run, as speed does, tells nothing."""
+    changes = {0: [0, 0, 0, 0], 1: [0, 0, 1, 0], 2: [1, 1, 0, 1]}
+    monkeypatch.setattr(evidence, "cause_changes_in", lambda _, k: np.array(changes[k], dtype=bool))
+    model = SimpleNamespace(chosen=chosen)
+    assert np.flatnonzero(evidence.driven_for(model, 0)).tolist() == driven
 
 
 def one_cold_run(cold: set[int], part: float = 1.0) -> Question:
@@ -211,7 +213,7 @@ def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
 ) -> None:
     """Oil that cools while the robot stands made a temperature effect of 2 % at p = 0.01; true ones are surer."""
     monkeypatch.setattr(estimates, "cause_is_constant", lambda *_: constant)
-    monkeypatch.setattr(estimates, "cause_changes_in", lambda *_: np.array([False, driven]))
+    monkeypatch.setattr(estimates, "driven_for", lambda *_: np.array([False, driven]))
     effects = [Candidate("temperature_friction", ("cold",)), Candidate("turning_scrub", ("turns",))]
     constraints = Constraints(np.zeros(2, dtype=int), np.arange(2), np.zeros(2, dtype=bool), effects)
     design = SimpleNamespace(layout=SimpleNamespace(mean_power_w=10.0))

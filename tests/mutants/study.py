@@ -174,7 +174,7 @@ MUTANTS = [
         ("evidence.gain > nats_needed(tail)", "True"),
         ("evidence.p_robust < 2.0 * tail", "True"),
         ("abs(evidence.share) > settings.min_share", "True"),
-        ("alone is None or _driven_for_it(model, column, alone)", "True"),
+        ("alone is None or bool(driven_for(model, column)[alone])", "True"),
         ("not abs(shift) <= settings.recalibration_limit", "True"),
         ('"runs": left < 1.0', '"runs": True'),
         ("if column in forms:", "if False:"),
