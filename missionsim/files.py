@@ -11,6 +11,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -76,8 +77,18 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, bool, Path]:
 
 
 def fields_of(item: object, names: str) -> Json:
-    """Attributes of an object, named with blanks between, as part of a JSON object."""
-    return {name: getattr(item, name) for name in names.split()}
+    """Attributes of an object, named with blanks between, as part of a JSON object: ``name``, or ``name=attribute``
+    where JSON calls it otherwise. What has a `to_json` is told by it, also inside tuples and mappings."""
+    pairs = (name.partition("=") for name in names.split())
+    return {name: _told(attrgetter(attribute or name)(item)) for name, _, attribute in pairs}
+
+
+def _told(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _told(inner) for key, inner in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_told(inner) for inner in value]
+    return value.to_json() if hasattr(value, "to_json") else value
 
 
 def grouped(items: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:

@@ -25,6 +25,8 @@ from missionsim.physics import Array
 from missionsim.runs import motion
 from missionsim.runs.error import ErrorStatistics
 
+STATISTICS = "error_statistics error_statistics_relative_to_predicted=error_statistics_predicted"
+"""Both, as `fields_of` takes them."""
 _SPEEDS = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
 _RATES = ("accel_m_s2", "lateral_accel_m_s2", "yaw_accel_rad_s2")
 
@@ -185,12 +187,10 @@ class MissionGap:
     def to_json(self) -> Json:
         """Numbers beside the contract's ``gap_wh``."""
         return {
-            "energy_simulated_wh": self.energy_simulated_wh,
-            "runs": self.runs,
+            **fields_of(self, "energy_simulated_wh runs"),
             "behaviour_wh": {part: self.part_wh(part) for part in PARTS},
-            "by_scheme": [fields_of(one, " ".join(OF_SCHEME)) | {"wh": dict(one.wh)} for one in self.schemes],
-            "error_statistics": self.error_statistics.to_json(),
-            "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
+            "by_scheme": [fields_of(one, " ".join((*OF_SCHEME, "wh"))) for one in self.schemes],
+            **fields_of(self, STATISTICS),
         }
 
 

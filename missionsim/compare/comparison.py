@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from missionsim.compare.axes import PlaceCell
-from missionsim.compare.behaviour import MissionGap
+from missionsim.compare.behaviour import STATISTICS, MissionGap
 from missionsim.compare.where import Dependence, Series, Where, in_words, ranked
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of, sha256
@@ -38,7 +38,7 @@ class RunComparison(RunError):
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
         names = "run energy_error_pct power_rmse_w power_bias_w seconds energy_measured_wh energy_model_wh"
-        return fields_of(self, names) | {"error_statistics": self.error_statistics.to_json()}
+        return fields_of(self, f"{names} error_statistics")
 
 
 def thousandfold(measured: float, model: float) -> str:
@@ -141,17 +141,10 @@ class BatteryComparison(RunError):
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
         names = "energy_measured_wh energy_model_wh energy_error_pct run_energy_error_pct power_rmse_w power_bias_w"
-        data = fields_of(self, f"{names} gap_wh") | {
-            "error_statistics": self.error_statistics.to_json(),
-            "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
-            "per_run": [run.to_json() for run in self.runs],
+        data = fields_of(self, f"{names} gap_wh {STATISTICS} per_run=runs") | {
             "where": [where.to_json() for where in self.where[:WHERE_IN_JSON]],
-            "depends_on": [
-                {"by": one.by, "explains": one.explained} for one in self.dependences if one.explained > 0.0
-            ],
-            "model_by_component_wh": self.by_component_wh,
-            "model_by_term_wh": self.by_term_wh,
-            "words": self.words,
+            "depends_on": [fields_of(one, "by explains=explained") for one in self.dependences if one.explained > 0.0],
+            **fields_of(self, "model_by_component_wh=by_component_wh model_by_term_wh=by_term_wh words"),
         }
         if self.mission is not None:
             data["mission"] = self.mission.to_json()
@@ -187,11 +180,7 @@ class Comparison:
             "schema": SCHEMA,
             "robot": self.robot,
             "mission": self.mission or None,
-            "runs": list(self.runs),
-            "batteries": {name: one.to_json() for name, one in self.batteries.items()},
-            "notes": list(self.notes),
-            "left_out": list(self.left_out),
-            "rows": self.rows,
+            **fields_of(self, "runs batteries notes left_out rows"),
             "logs": [
                 {"run": run, "file": source, "sha256": sha256(source) if source else None} for run, source in self.logs
             ],

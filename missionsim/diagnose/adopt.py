@@ -15,7 +15,7 @@ from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import bars_of, worse_note
 from missionsim.effects.library import get_effect
 from missionsim.errors import InputError, MissionsimError, did_you_mean
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.fit.final import FinalFit
 from missionsim.fit.parameters import CALIBRATION, as_fitted, fitted_source, ranges_of
 from missionsim.identify.findings import AT_BOUND, Estimate, Finding, HeldOut
@@ -59,12 +59,8 @@ class Adopted:
             "added": True,
             "significant": not self.reason,
             "reason": self.reason,
-            "parameters": {name: estimate.to_json() for name, estimate in self.effect.parameters.items()},
-            "energy_share": self.effect.energy_share,
-            "energy_share_given_back": self.effect.back,
-            "p_value": self.effect.p_value,
-            "indistinguishable_from": list(self.effect.indistinguishable_from),
-            "heldout": self.heldout and self.heldout.to_json(),
+            **fields_of(self.effect, "parameters energy_share energy_share_given_back=back p_value"),
+            **fields_of(self, "indistinguishable_from=effect.indistinguishable_from heldout"),
             "worse": self.worse or None,
             "meter": self.meter._asdict(),
             "base": {name: {"value": value, "sd": sd} for name, (value, sd) in self.base.items()},

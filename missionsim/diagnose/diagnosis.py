@@ -22,18 +22,9 @@ from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.waterfall import noted
 from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
+from missionsim.identify import findings
 from missionsim.identify.data import Candidate
 from missionsim.identify.estimates import Z95
-from missionsim.identify.findings import (
-    BatteryDiagnosis,
-    Diagnosis,
-    Finding,
-    HeldOut,
-    Judged,
-    Recalibrated,
-    RunSeries,
-    Structure,
-)
 from missionsim.identify.forward import LOGGED
 from missionsim.identify.proposed import Proposal, plain
 from missionsim.identify.settings import Settings
@@ -70,7 +61,7 @@ def diagnose_files(
     mission: str | Path | None = None,
     battery: str | None = None,
     settings: Settings | None = None,
-) -> Diagnosis:
+) -> findings.Diagnosis:
     """Diagnose from files.
 
     Parameters
@@ -110,7 +101,7 @@ def diagnose(
     timeline: Timeline | None = None,
     battery: str | None = None,
     settings: Settings | None = None,
-) -> Diagnosis:
+) -> findings.Diagnosis:
     """Diagnose every battery that the logs measure; see `diagnose_files`.
 
     Parameters
@@ -127,7 +118,7 @@ def diagnose(
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
     if battery is not None and battery not in measured:
         raise InputError.unknown(f"no log measures the battery '{battery}'", battery, measured)
-    done: dict[str, BatteryDiagnosis] = {}
+    done: dict[str, findings.BatteryDiagnosis] = {}
     skipped: dict[str, InputError] = {}
     for name in measured if battery is None else [battery]:
         if name not in subject.model.batteries:
@@ -139,7 +130,7 @@ def diagnose(
             skipped[name] = error
     if not done:
         raise next(iter(skipped.values()))
-    return Diagnosis(subject.robot.name, done, {name: " ".join(str(e).split()) for name, e in skipped.items()})
+    return findings.Diagnosis(subject.robot.name, done, {name: " ".join(str(e).split()) for name, e in skipped.items()})
 
 
 def diagnose_battery(
@@ -151,7 +142,7 @@ def diagnose_battery(
     timeline: Timeline | None = None,
     seen: Examined | None = None,
     tried: Collection[str] = (),
-) -> BatteryDiagnosis:
+) -> findings.BatteryDiagnosis:
     """The diagnosis of one battery.
 
     `subject`, `split`, `battery`, `settings`, `timeline`: as for `diagnose`. `seen`: what `examine` gave. `tried`:
@@ -161,7 +152,7 @@ def diagnose_battery(
     features, found, models, held = seen.features, seen.found, seen.models, seen.held
     effects, candidates, proposed, fitted, in_file = judged(seen, tried)
     fits = (subject.model, models.fit(()).model, fitted.model)
-    heldout: HeldOut | None = None
+    heldout: findings.HeldOut | None = None
     if held:
         heldout = models.held_out(fits, held, split.how, split.shifted)
         before = models.without(effects, held)
@@ -171,7 +162,7 @@ def diagnose_battery(
     design = source.design(at := models.clock.in_all(len(source.runs)))
     nominal_w, fitted_w = (models.averaged(power, source, at) for power in (fits[0], fits[-1]))
     series = tuple(
-        RunSeries(name, design.time_s[part], design.y[part], nominal_w[part], fitted_w[part])
+        findings.RunSeries(name, design.time_s[part], design.y[part], nominal_w[part], fitted_w[part])
         for name, part in zip(design.names, design.runs, strict=True)
     )
     # what the means of the analysis do not show, since it averages out within them
@@ -179,7 +170,7 @@ def diagnose_battery(
     square /= max(sum(len(run.time_s) for run in series), 1)
     within = max(models.errors(fits[-1], models.runs).power_rmse_w ** 2 - square, 0.0)
     logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
-    driven: list[Finding] = []
+    driven: list[findings.Finding] = []
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
@@ -188,12 +179,12 @@ def diagnose_battery(
     execution = tuple(one for one in driven if one.level)
     recalibration = models.recalibrated(in_file)
     # what remains with all that was named, and which parts of it are averages that say nothing of their own
-    left, more = found.unexplained, list[Structure]()
+    left, more = found.unexplained, list[findings.Structure]()
     # beside what was found, a base within its priors was not far off: it had taken the part of what was missing
     if features.given_sd and (
         told := _far(recalibration, settings.recalibration_limit, found.mean_power_w, alone=not (effects or proposed))
     ):
-        more.append(Structure("", 0.0, 0.0, 0.0, told))
+        more.append(findings.Structure("", 0.0, 0.0, 0.0, told))
     if found.factor is None and not found.averages and (over := leftover(found, features.covariates)) is not None:
         more += [over] if over.covariate not in left.depends_on else []
     certain = [name for law in proposed for name in law.certain]
@@ -219,7 +210,7 @@ def diagnose_battery(
     doubted = [name for name in found.demoted if name not in {effect.effect for effect in effects}]
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     made = noted(
-        BatteryDiagnosis(
+        findings.BatteryDiagnosis(
             verdict=decide(effects, remains, doubted, law=law, execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
@@ -254,9 +245,9 @@ def diagnose_battery(
 class Named(NamedTuple):
     """What is said of every effect, by all commands alike."""
 
-    effects: tuple[Finding, ...]
+    effects: tuple[findings.Finding, ...]
     """Those that stay beside the laws, with the numbers of `fitted`."""
-    candidates: tuple[Judged, ...]
+    candidates: tuple[findings.Judged, ...]
     """What became of all others."""
     proposed: tuple[Proposal, ...]
     """Laws that the library does not hold."""
@@ -330,7 +321,7 @@ def judged(seen: Examined, tried: Collection[str] = (), laws: bool = True) -> Na
     return Named(effects, tuple(candidates), proposed, fitted, written[0][1] if written else fitted)
 
 
-def _far(recalibration: Sequence[Recalibrated], limit: float, mean_power_w: float, *, alone: bool) -> str:
+def _far(recalibration: Sequence[findings.Recalibrated], limit: float, mean_power_w: float, *, alone: bool) -> str:
     """In words, that a base which these runs refute is off; else empty. `alone`: nothing else explains them. What moves
     most power is told first, and what moves hardly any is not told beside it; what one parameter gains and another
     loses, as c2 and c3 do over few speeds, makes no base wrong."""
@@ -351,7 +342,7 @@ def _far(recalibration: Sequence[Recalibrated], limit: float, mean_power_w: floa
     return "the base of the robot file does not describe these runs; which of its parameters is off they do not say"
 
 
-def _beside_law(effect: Finding, laws: Sequence[Proposal], candidates: Sequence[Candidate]) -> str:
+def _beside_law(effect: findings.Finding, laws: Sequence[Proposal], candidates: Sequence[Candidate]) -> str:
     """In words, that a law of another form reads what an effect goes by, which may then stand for a part of it."""
     goes_by = {logged_name(c.covariate) for c in candidates if c.effect == effect.effect}
     shared = [name for law in laws for name in law.first.variables if name in goes_by]

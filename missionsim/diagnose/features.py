@@ -19,17 +19,9 @@ from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.errors import InputError
 from missionsim.fit.final import final_fit
 from missionsim.fit.prepare import acting, never_on, prepare
+from missionsim.identify import settings as const
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.settings import (
-    SLOW_ROWS_S,
-    SPEED_AGREE,
-    SPEED_AVERAGED_S,
-    SPEED_JUMPS_BACK,
-    SPEED_NOISY,
-    SPEED_ROWS,
-    Settings,
-)
 from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name, remarks_on
@@ -192,7 +184,7 @@ def steady_speed(run: Run) -> Run:
     so does a speed that moves on as it moved before, as in traffic: that is no noise.
     """
     row_s = float(np.median(np.diff(run.time_s)))
-    if "speed_m_s" not in run.columns or row_s < SLOW_ROWS_S:
+    if "speed_m_s" not in run.columns or row_s < const.SLOW_ROWS_S:
         return run
     speed = run.number("speed_m_s")
     moving = speed != 0
@@ -201,11 +193,11 @@ def steady_speed(run: Run) -> Run:
     if not len(turn):
         return run
     typical, level = float(np.median(np.abs(step))), float(np.median(np.abs(speed[moving])))
-    if not (0.0 < typical < SPEED_NOISY * level and np.median(np.abs(turn)) > SPEED_JUMPS_BACK * typical):
+    if not (0.0 < typical < const.SPEED_NOISY * level and np.median(np.abs(turn)) > const.SPEED_JUMPS_BACK * typical):
         return run
-    near = SPEED_AGREE * typical
+    near = const.SPEED_AGREE * typical
     going = np.abs(speed) > near  # what starts or stops keeps its instant, and noise near rest moves no steep curve
-    for rows in (SPEED_ROWS, round(SPEED_AVERAGED_S / row_s)):
+    for rows in (const.SPEED_ROWS, round(const.SPEED_AVERAGED_S / row_s)):
         total, count = speed.copy(), np.ones_like(speed)
         for shift in range(1, min(rows, len(speed) - 1) + 1):
             alike = (np.abs(speed[shift:] - speed[:-shift]) <= near) & going[shift:] & going[:-shift]
@@ -214,7 +206,9 @@ def steady_speed(run: Run) -> Run:
             total[:-shift] += alike * speed[shift:]
             count[:-shift] += alike
         speed = total / count
-        near /= np.sqrt(2 * SPEED_ROWS + 1)  # what the first pass leaves of the noise: ends of ramps stand out now
+        near /= np.sqrt(
+            2 * const.SPEED_ROWS + 1
+        )  # what the first pass leaves of the noise: ends of ramps stand out now
     return replace(run, columns={**run.columns, "speed_m_s": speed})
 
 
@@ -261,7 +255,7 @@ def _in_base(effect: Effect, runs: Sequence[Covariates], gradients: Sequence[Map
     return bool(_shares_of(whole, list(gradients[0]), gradients))
 
 
-def beside_base(features: Features, model: PowerModel, logs: Sequence[Run], settings: Settings) -> Features:
+def beside_base(features: Features, model: PowerModel, logs: Sequence[Run], settings: const.Settings) -> Features:
     """The same features, with what pushes back as a base has it that was fitted beside it.
 
     A base that takes all as given back, fitted to a drive that gives back nothing, has slopes half-way between, and

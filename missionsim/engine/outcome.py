@@ -300,6 +300,10 @@ class RunResult:
                 "by_segment_wh": self.by_segment_wh(name).tolist(),
                 "audit_relative_error": audit,
             }
+        passed, stop, ways = self.places_passed(), self.interrupted, list[Json]()
+        for index, edges in self._ways().items():
+            named = {"edges": [edge.name for edge in edges], "edge_indices": [edge.edge for edge in edges]}
+            ways.append({"segment": index, **named, "places": passed[index]})
         return {
             "schema": SCHEMA,
             **fields_of(self, "mission robot feasible completed"),
@@ -307,22 +311,12 @@ class RunResult:
             **fields_of(self, "duration_s distance_m dock_s"),
             "segments": [segment.name for segment in self.segments],
             "segments_driven": self.segments_driven,
-            "ways": [
-                {
-                    "segment": index,
-                    "edges": [edge.name for edge in edges],
-                    "edge_indices": [e.edge for e in edges],
-                    "places": [edges[0].begin, *(edge.end for edge in edges)],
-                }
-                for index, edges in self._ways().items()
-            ],
-            "interrupted": None
-            if self.interrupted is None
-            else {
-                "at_s": self.interrupted.time_s,
-                "segment": self.segments[self.interrupted.segment].name,
-                "battery": self.interrupted.battery,
-                "kind": self.interrupted.kind,
+            "ways": ways,
+            "interrupted": stop
+            and {
+                "at_s": stop.time_s,
+                "segment": self.segments[stop.segment].name,
+                **fields_of(stop, "battery kind"),
                 "returned_to_dock": self.returned,
             },
             "batteries": batteries,

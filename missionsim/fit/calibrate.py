@@ -17,18 +17,7 @@ from missionsim.effects.covariates import elapsed, is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import FUNCTIONS, compile_expression
-from missionsim.fit.parameters import (
-    CALIBRATION,
-    FittedParameter,
-    ModelFit,
-    as_fitted,
-    fit_parameters,
-    fitted_source,
-    fitted_to,
-    ranges_of,
-    sd_on_other_logs,
-    short_of,
-)
+from missionsim.fit import parameters as fitting
 from missionsim.glossary import column_of
 from missionsim.identify.estimates import Z95
 from missionsim.inputs import edit
@@ -78,12 +67,12 @@ class Calibration:
     """A fitted robot file: its text, one fit a battery, remarks, runs that were left out and why."""
 
     text: str
-    fits: tuple[ModelFit, ...]
+    fits: tuple[fitting.ModelFit, ...]
     remarks: tuple[str, ...]
     left_out: tuple[str, ...] = ()
 
     @property
-    def fit(self) -> ModelFit:
+    def fit(self) -> fitting.ModelFit:
         """The fit of the first battery, of a new robot the only one."""
         return self.fits[0]
 
@@ -113,11 +102,11 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
         aged = dict(term.parameters)
         for name, own in term.parameters.items():
             source = spec.sources.get(own.source, own.source)
-            if own.value != 0.0 and not fitted_to(source, logs):
-                aged[name] = replace(own, sd=sd_on_other_logs(own.prior_sd, source) * abs(own.value))
+            if own.value != 0.0 and not fitting.fitted_to(source, logs):
+                aged[name] = replace(own, sd=fitting.sd_on_other_logs(own.prior_sd, source) * abs(own.value))
         terms.append(replace(term, parameters=aged))
     aged_model = replace(model, terms=tuple(terms))
-    fits: list[ModelFit] = []
+    fits: list[fitting.ModelFit] = []
     remarks: list[str] = []
     refused: list[InputError] = []
     updates: dict[str, dict[str, Any]] = {}
@@ -126,7 +115,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
             refused.append(InputError.unknown(f"the robot has no battery '{name}'", name, model.batteries))
             continue
         try:
-            fit = fit_parameters(aged_model, logs, name)
+            fit = fitting.fit_parameters(aged_model, logs, name)
         except InputError as error:
             refused.append(error)
             remarks.append(f"battery {name} was not fitted: {' '.join(str(error).split())}")
@@ -136,10 +125,12 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
         for parameter in fit.parameters.values():
             whole = model.parameters[f"{name}/{parameter.name}"]
             if parameter.seen and whole.path:
-                updates[whole.path] = as_fitted(whole, parameter.value, parameter.sd)
+                updates[whole.path] = fitting.as_fitted(whole, parameter.value, parameter.sd)
     if not fits:
         raise refused[0]
-    if twice := [n for n, p in model.parameters.items() if fitted_to(spec.sources.get(p.source, p.source), logs)]:
+    if twice := [
+        n for n, p in model.parameters.items() if fitting.fitted_to(spec.sources.get(p.source, p.source), logs)
+    ]:
         remarks.append(
             f"{', '.join(n.partition('/')[2] for n in twice)}: fitted to these very logs before, so that "
             "they count twice now and the intervals are too narrow; refit the file as it was before"
@@ -152,7 +143,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     owns = [[log for log in logs if fit.battery in log.power_w] for fit in fits]
     afters = [errors_of(written, own, fit.battery) for fit, own in zip(fits, owns, strict=True)]
     fits = [replace(fit, model=written, after=after) for fit, after in zip(fits, afters, strict=True)]
-    text = editing.set_source(CALIBRATION, fitted_source(logs), ranges_of(logs)).text
+    text = editing.set_source(fitting.CALIBRATION, fitting.fitted_source(logs), fitting.ranges_of(logs)).text
     return Calibration(text, tuple(fits), tuple(dict.fromkeys(remarks)))
 
 
@@ -225,7 +216,7 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
         )
     names = [*parameters, *(["standing"] if standing else [])]
     draft = _text(robot, dict.fromkeys(names), components, standing, logs, "")
-    fit = fit_parameters(_load(draft), logs, robot.battery, free=True)
+    fit = fitting.fit_parameters(_load(draft), logs, robot.battery, free=True)
     # columns that every log has and a formula may read
     readable = sorted(name for name in shared if name != "time_s" and not name.startswith(("power_", "energy_")))
     asked = [*names, *(f"{c}.power" for c in components)]
@@ -249,10 +240,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
             if value.high > 0.0:
                 why = "these logs do not tell it from zero: leave its term out of --base, or vary it more"
             remarks.append(f"{name} came out negative ({told}, 95 % {low} to {high}): {why}")
-    text = _text(robot, fit.parameters, components, standing, logs, fitted_source(logs))
+    text = _text(robot, fit.parameters, components, standing, logs, fitting.fitted_source(logs))
     text = Editing(text).set_meter(robot.battery, fit.model.meter(robot.battery)).text
     written = _load(text)
-    remarks += short_of(text, robot.battery, logs)
+    remarks += fitting.short_of(text, robot.battery, logs)
     after = errors_of(written, [log for log in logs if robot.battery in log.power_w], robot.battery)
     return Calibration(text, (replace(fit, model=written, after=after),), (*fit.remarks, *remarks))
 
@@ -284,7 +275,7 @@ def _components(logs: Sequence[Run], remarks: list[str]) -> dict[str, int]:
     return found
 
 
-def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
+def _with_rest(fit: fitting.ModelFit, logs: Sequence[Run], battery: str) -> fitting.ModelFit:
     """Power at rest from the rows at rest alone, where they say more of it than all rows together.
 
     Noise of a driving robot can be far larger than all that it draws at rest. Rows just after a stop are left out, for
@@ -320,7 +311,7 @@ def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
 
 def _text(
     robot: NewRobot,
-    values: Mapping[str, FittedParameter | None],
+    values: Mapping[str, fitting.FittedParameter | None],
     components: Mapping[str, int],
     standing: bool,
     logs: Sequence[Run],
@@ -341,8 +332,8 @@ def _text(
         "kind: robot",
         f"name: {_word(robot.name)}",
         f"title: {json.dumps(f'{robot.name}, base model fitted to measured logs')}",
-        *([f"sources: {{{CALIBRATION}: {json.dumps(source)}}}"] if source else []),
-        *([f"origin: {{range: {json.dumps(ranges_of(logs))}}}"] if source else []),
+        *([f"sources: {{{fitting.CALIBRATION}: {json.dumps(source)}}}"] if source else []),
+        *([f"origin: {{range: {json.dumps(fitting.ranges_of(logs))}}}"] if source else []),
         "body:",
         *([f"  mass: {json.dumps(robot.mass)}"] if robot.mass else []),
         f"  drive: {_word(robot.drive)}",
@@ -382,12 +373,11 @@ def _word(text: str) -> str:
     return text if text.isidentifier() and yaml.safe_load(text) == text else json.dumps(text)
 
 
-def _number(value: FittedParameter | None, unit: str = "") -> str:
+def _number(value: fitting.FittedParameter | None, unit: str = "") -> str:
     # power of a component may not be negative in a robot file
     if value is None:
         return f"1 {unit}".strip()
     shown = max(value.value, 0.0) if unit else value.value
     suffix = f" {unit}" if unit else ""
-    return (
-        f"{{value: {shown:.6g}{suffix}, sd: {max(value.sd, 1e-12):.3g}{suffix}, status: fitted, source: {CALIBRATION}}}"
-    )
+    sd = f"{max(value.sd, 1e-12):.3g}{suffix}"
+    return f"{{value: {shown:.6g}{suffix}, sd: {sd}, status: fitted, source: {fitting.CALIBRATION}}}"

@@ -15,7 +15,7 @@ import numpy as np
 from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.fit.final import FREE_SD, Value, final_fit
 from missionsim.fit.prepare import Prepared, acting, prepare
 from missionsim.identify.align import Clock
@@ -270,18 +270,12 @@ class ModelFit:
     def to_json(self) -> Json:
         """As ``missionsim calibrate --json`` has a battery."""
         return {
-            "parameters": {
-                p.name: {key: getattr(p, key) for key in ("value", "sd", "low", "high", "before", "unit")}
-                for p in self.parameters.values()
-            },
-            "rmse_before_w": self.before.power_rmse_w,
-            "rmse_w": self.after.power_rmse_w,
-            "energy_error_pct": self.after.total.energy_error_pct,
-            "run_energy_error_pct": self.after.run_energy_error_pct,
+            "parameters": {p.name: fields_of(p, "value sd low high before unit") for p in self.parameters.values()},
+            **fields_of(self, "rmse_before_w=before.power_rmse_w rmse_w=after.power_rmse_w"),
+            **fields_of(self.after, "energy_error_pct=total.energy_error_pct run_energy_error_pct"),
             "explained_variance": self.explained,
-            "clock": {"delay_s": self.delay_s, "lag_s": self.lag_s},
-            "runs": list(self.runs),
-            "seconds": self.seconds,
+            "clock": fields_of(self, "delay_s lag_s"),
+            **fields_of(self, "runs seconds"),
         }
 
 

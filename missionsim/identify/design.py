@@ -9,19 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify import settings as const
 from missionsim.identify.align import Clock, find_clock, still
 from missionsim.identify.averaging import Intervals, Rows, RunColumns, Weights, integral_curves, make_bins
 from missionsim.identify.data import Candidate, Column, Constraints, Layout, RunData
-from missionsim.identify.settings import (
-    CLOCK_SD_S,
-    CLOCK_SD_S2,
-    CURVATURE_SD,
-    DEFAULT_PRIOR_SD,
-    DERIVATIVE_STEP_S,
-    FEWEST_INTERVALS,
-    SWITCH_SD,
-    Settings,
-)
 from missionsim.physics import Array
 
 KEPT_CURVES = 4
@@ -239,9 +230,11 @@ class Source:
         run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
         later, earlier = (
             self.intervals.means_of_one(self._base_cubics, run_delay + shift, clock.lag_s)
-            for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S)
+            for shift in (const.DERIVATIVE_STEP_S, -const.DERIVATIVE_STEP_S)
         )
-        return (later - earlier) / (2 * DERIVATIVE_STEP_S), (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
+        return (later - earlier) / (2 * const.DERIVATIVE_STEP_S), (
+            later - 2 * base + earlier
+        ) / const.DERIVATIVE_STEP_S**2
 
 
 def switch_jumps(run: RunData) -> Array:
@@ -265,7 +258,7 @@ def make_source(
     runs: Sequence[RunData],
     candidates: Sequence[Candidate],
     prior_sd: Mapping[str, float],
-    settings: Settings,
+    settings: const.Settings,
     like: Source | None = None,
 ) -> Source:
     """Prepare runs; with `like`, reuse its layout and clock (for held-out runs).
@@ -276,10 +269,10 @@ def make_source(
         raise ValueError("identify needs at least one run")
     bins = [make_bins(run, settings.period_s) for run in runs]
     # a handful of intervals fits its own offset and gain and says nothing more
-    kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= FEWEST_INTERVALS)
+    kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= const.FEWEST_INTERVALS)
     runs, bins = [runs[i] for i in kept], [bins[i] for i in kept]
     if not runs:
-        raise TooShortError(f"no run has at least {FEWEST_INTERVALS} analysis intervals with measured power")
+        raise TooShortError(f"no run has at least {const.FEWEST_INTERVALS} analysis intervals with measured power")
     layout = like.layout if like else _layout(runs, candidates, prior_sd, settings)
     columns: list[RunColumns] = []
     for run, b in zip(runs, bins, strict=True):
@@ -312,7 +305,7 @@ def make_source(
 
 
 def _layout(
-    runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float], settings: Settings
+    runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float], settings: const.Settings
 ) -> Layout:
     parameters = tuple(n for n in runs[0].gradient if all(n in r.gradient for r in runs))
     parameters = tuple(n for n in parameters if any(np.any(r.gradient[n] != 0) for r in runs))
@@ -331,8 +324,8 @@ def _layout(
             mean = total / sum(float(np.sum(r.dt_s)) for r in runs)
             if np.isfinite(mean) and mean > 1e-12 * mean_power:
                 columns.append(Column(number, position, name, mean))
-    nuisances = (CLOCK_SD_S, CLOCK_SD_S2, CURVATURE_SD, SWITCH_SD)
-    sd = np.array([*(prior_sd.get(n, DEFAULT_PRIOR_SD) for n in parameters), *nuisances])
+    nuisances = (const.CLOCK_SD_S, const.CLOCK_SD_S2, const.CURVATURE_SD, const.SWITCH_SD)
+    sd = np.array([*(prior_sd.get(n, const.DEFAULT_PRIOR_SD) for n in parameters), *nuisances])
     steps = []  # typical length of an analysis interval of each run [s]
     for run in runs:
         step = float(np.median(np.diff(run.time_s if run.fresh is None else run.time_s[run.fresh])))

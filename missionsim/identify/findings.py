@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.identify.proposed import Proposal, Record
 from missionsim.identify.settings import HIDES, WIDE
 from missionsim.physics import Array
@@ -151,23 +151,13 @@ class Finding:
 
     def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
-        data: dict[str, Any] = {
-            "effect": self.effect,
-            "parameters": {name: estimate.to_json() for name, estimate in self.parameters.items()},
-            "energy_share": self.energy_share,
-            "energy_share_interval": [self.share_low, self.share_high],
-            "energy_share_given_back": self.back,
-            "p_value": self.p_value,
-            "p_value_runs": self.p_runs,
-            "level": self.level,
-            "heldout_rmse_before_w": self.heldout_rmse_before_w,
-            "heldout_rmse_after_w": self.heldout_rmse_after_w,
-            "indistinguishable_from": list(self.indistinguishable_from),
-            "other_forms": list(self.other_forms),
-            "shared_with": list(self.shared_with),
-            "separation_nats": self.separation_nats,
-            "absorbed_share": self.absorbed,
-        }
+        data = fields_of(self, "effect parameters energy_share")
+        data["energy_share_interval"] = [self.share_low, self.share_high]
+        names = (
+            "energy_share_given_back=back p_value p_value_runs=p_runs level heldout_rmse_before_w heldout_rmse_after_w"
+        )
+        data |= fields_of(self, f"{names} indistinguishable_from other_forms shared_with separation_nats")
+        data["absorbed_share"] = self.absorbed
         return data | {name: text for name, text in (("scheme", self.scheme), ("remark", self.doubt)) if text}
 
 
@@ -211,8 +201,7 @@ class Recalibrated:
 
     def to_json(self) -> Json:
         """The contract's fields, and the new value with its standard deviation."""
-        told = ("parameter", "shift_pct", "shift_in_prior_sd", "value", "sd", "unit")
-        return {name: getattr(self, name) for name in told}
+        return fields_of(self, "parameter shift_pct shift_in_prior_sd value sd unit")
 
 
 @dataclass(frozen=True)
@@ -351,22 +340,13 @@ class BatteryDiagnosis(Findings):
         return {
             "verdict": self.verdict,
             "effects": [effect.to_json() for effect in (*self.effects, *self.execution)],
-            "candidates": [candidate.to_json() for candidate in self.candidates],
-            "recalibration": [shift.to_json() for shift in self.recalibration],
-            "clock": {"delay_s": self.delay_s, "lag_s": self.lag_s, "at_edge": self.clock_at_edge},
+            **fields_of(self, "candidates recalibration"),
+            "clock": fields_of(self, "delay_s lag_s at_edge=clock_at_edge"),
             "meter": self.meter or None,
             "noise": dict(self.noise),
             "untestable": [{"effect": name, "needs": list(needs)} for name, needs in self.untestable.items()],
-            "unexplained": self.unexplained.to_json(),
-            "proposed_laws": [law.to_json() for law in self.proposed_laws],
-            "next_experiment": [experiment.to_json() for experiment in self.next_experiments],
-            "heldout": None if self.heldout is None else self.heldout.to_json(),
-            "heldout_shifted": None if self.shifted is None else self.shifted.to_json(),
-            "confounding": {name: dict(row) for name, row in self.confounding.items()},
-            "mean_power_w": self.mean_power_w,
-            "runs": list(self.runs),
-            "seconds": self.seconds,
-            "remarks": list(self.remarks),
+            **fields_of(self, "unexplained proposed_laws next_experiment=next_experiments heldout"),
+            **fields_of(self, "heldout_shifted=shifted confounding mean_power_w runs seconds remarks"),
         }
 
 
@@ -385,11 +365,4 @@ class Diagnosis:
 
     def to_json(self) -> Json:
         """The contract's ``missionsim.diagnosis/1``."""
-        return {
-            "schema": SCHEMA,
-            "robot": self.robot,
-            "batteries": {name: battery.to_json() for name, battery in self.batteries.items()},
-            "skipped": dict(self.skipped),
-            "left_out": list(self.left_out),
-            "remarks": list(self.remarks),
-        }
+        return {"schema": SCHEMA, **fields_of(self, "robot batteries skipped left_out remarks")}

@@ -9,6 +9,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from missionsim.identify import settings as const
 from missionsim.identify.align import Clock, uphill
 from missionsim.identify.data import Constraints
 from missionsim.identify.design import Design, Source
@@ -16,15 +17,6 @@ from missionsim.identify.gram import Gram, make_gram, random_effects, reduced
 from missionsim.identify.noise import Noise, start_factor, start_noise
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise, on_rows
-from missionsim.identify.settings import (
-    CLOCK_RISE_NATS,
-    FEWEST_FITTED,
-    LARGEST_RUN_DELAY_S,
-    MOST_FITTED,
-    RUN_DELAY_SD_S,
-    UNUSUAL_GAIN,
-    USUAL_GAIN,
-)
 from missionsim.physics import Array
 
 
@@ -73,7 +65,7 @@ class Model:
 
 def spread(model: Model) -> Model:
     """The model on runs spread evenly over all where they are many."""
-    numbers = spread_runs(len(model.design.runs), len(model.design.y), FEWEST_FITTED // 2)
+    numbers = spread_runs(len(model.design.runs), len(model.design.y), const.FEWEST_FITTED // 2)
     if len(numbers) == len(model.design.runs):
         return model
     design, at = model.design.of_runs(numbers)
@@ -86,13 +78,13 @@ def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> 
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
     gram, log_det = reduced(source.design(clock, chosen), noise, range(len(chosen)))
     # the prior of the runs' own delays, which the search moves as well
-    spread = sum((d / RUN_DELAY_SD_S) ** 2 for d in clock.run_delay_s)
+    spread = sum((d / const.RUN_DELAY_SD_S) ** 2 for d in clock.run_delay_s)
     return gram.evidence(range(len(chosen))) - 0.5 * log_det - 0.5 * spread
 
 
-def spread_runs(runs: int, rows: int, fewest: int = FEWEST_FITTED) -> list[int]:
+def spread_runs(runs: int, rows: int, fewest: int = const.FEWEST_FITTED) -> list[int]:
     """Numbers of runs, spread evenly over all, that together have at most about `MOST_FITTED` rows."""
-    few = min(runs, max(fewest, math.ceil(runs * MOST_FITTED / max(rows, 1))))
+    few = min(runs, max(fewest, math.ceil(runs * const.MOST_FITTED / max(rows, 1))))
     return sorted({int(j) for j in np.linspace(0, runs - 1, few).round()})
 
 
@@ -101,7 +93,7 @@ def fitted_noise(design: Design, chosen: Sequence[int], guess: Noise | None = No
     numbers = spread_runs(len(design.runs), len(design.y))
     if len(numbers) == len(design.runs):
         return fit_noise(design, chosen, guess, thorough)
-    part, at = design.of_runs(numbers, MOST_FITTED // len(numbers))
+    part, at = design.of_runs(numbers, const.MOST_FITTED // len(numbers))
     known = None if guess is None else guess.of_rows(at)
     return on_rows(design, fit_noise(part, chosen, known, thorough), chosen)
 
@@ -109,7 +101,7 @@ def fitted_noise(design: Design, chosen: Sequence[int], guess: Noise | None = No
 def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], rounds: int = 2) -> Clock:
     """Common delay and lag by pattern search, delays of single runs from their jitter effect, in turns."""
     reach = max(1.0, source.layout.step_s)
-    numbers = spread_runs(len(source.runs), len(noise.weight), FEWEST_FITTED // 2)
+    numbers = spread_runs(len(source.runs), len(noise.weight), const.FEWEST_FITTED // 2)
     some, part = source, noise
     if len(numbers) < len(source.runs):
         some, part = source.of_runs(numbers), noise.of_rows(source.rows_of(numbers))
@@ -125,7 +117,7 @@ def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[in
         if turn == 0:  # a delay is easily taken for a lag: look along the ridge of equal sums
             ridge = [(round(at[0] - d * reach, 3), round(at[1] + d * reach, 3)) for d in (-0.4, -0.2, 0, 0.2, 0.4)]
             at = max((place for place in ridge if place[1] >= 0), key=lambda place: value(*place))
-        delay_s, lag_s = uphill(value, at, reach, steps, 6, 3, CLOCK_RISE_NATS)
+        delay_s, lag_s = uphill(value, at, reach, steps, 6, 3, const.CLOCK_RISE_NATS)
         # the lag has no lower end, and 1.3 rows is as far as the steps go
         at_edge = abs(delay_s) > 1.0 * reach or lag_s > 1.3 * reach
         clock = replace(clock, delay_s=delay_s, lag_s=lag_s, at_edge=at_edge)
@@ -133,7 +125,7 @@ def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[in
             design = source.design(clock, chosen)
             delays = np.asarray(clock.run_delay_s) + random_effects(design, noise, range(len(chosen)))[:, 3]
             mean = float(np.mean(delays))
-            each = np.clip(delays - mean, -LARGEST_RUN_DELAY_S, LARGEST_RUN_DELAY_S)
+            each = np.clip(delays - mean, -const.LARGEST_RUN_DELAY_S, const.LARGEST_RUN_DELAY_S)
             clock = replace(clock, delay_s=clock.delay_s + mean, run_delay_s=tuple(float(d) for d in each))
     return clock
 
@@ -146,7 +138,7 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
     guess = start.noise if start else None
     # without a start, or where runs differ by more than meters do
     anew = guess is None or (
-        max(guess.gain, guess.motion_gain, guess.offset_w / design.layout.mean_power_w) > UNUSUAL_GAIN
+        max(guess.gain, guess.motion_gain, guess.offset_w / design.layout.mean_power_w) > const.UNUSUAL_GAIN
     )
     if guess is not None and anew:
         # what a new effect explains had passed for differences between runs, and a fit from there would stay there
@@ -154,8 +146,8 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
         shape = {name: getattr(fresh, name) for name in ("fast_s", "slow_s", "fast_share", "slow_share")}
         guess = replace(
             guess,
-            gain=min(guess.gain, USUAL_GAIN),
-            motion_gain=min(guess.motion_gain, USUAL_GAIN),
+            gain=min(guess.gain, const.USUAL_GAIN),
+            motion_gain=min(guess.motion_gain, const.USUAL_GAIN),
             offset_w=min(guess.offset_w, fresh.offset_w),
             **shape,
         )

@@ -16,24 +16,9 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify import settings as const
 from missionsim.identify.align import CLOCK_STEPS, Clock, uphill
 from missionsim.identify.design import Design, Source
-from missionsim.identify.settings import (
-    DELAY_LEVEL,
-    FEWEST_FOLDS,
-    HALVED,
-    HALVED_LEVEL,
-    INDEPENDENT_S,
-    NEAR_LEVEL,
-    OFTEN,
-    OFTEN_PART,
-    ROUGH,
-    SEVERAL_RUNS,
-    SHORTEST_FOLD_S,
-    SHOWN_ALONE,
-    STRETCHES,
-    TOLD_APART,
-)
 from missionsim.physics import Array
 
 RIDGE = 1e-9
@@ -90,13 +75,13 @@ class LeastSquares:
         """Sums of a design; the folds are its runs, or stretches of them where there are few."""
         q = len(design.layout.parameters)
         rows = np.vstack([design.residual, design.gradient[:q], design.phi, np.ones_like(design.y), design.y])
-        pieces = -(-FEWEST_FOLDS // len(design.runs)) if len(design.runs) < FEWEST_FOLDS - 2 else 1
-        least = -(-FEWEST_FOLDS // (2 * len(design.runs)))
+        pieces = -(-const.FEWEST_FOLDS // len(design.runs)) if len(design.runs) < const.FEWEST_FOLDS - 2 else 1
+        least = -(-const.FEWEST_FOLDS // (2 * len(design.runs)))
         shows = shows_alone(design) if pieces == 1 else np.zeros(len(design.runs), dtype=bool)
         folds: list[tuple[slice, int]] = []
         for number, run in enumerate(design.runs):
             length = float(design.duration_s[run].sum())
-            count = max(least, min(STRETCHES if shows[number] else pieces, int(length // SHORTEST_FOLD_S)))
+            count = max(least, min(const.STRETCHES if shows[number] else pieces, int(length // const.SHORTEST_FOLD_S)))
             edges = np.linspace(run.start, run.stop, count + 1).astype(int)
             folds += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
         sums = np.stack([(rows[:, part] * design.duration_s[part]) @ rows[:, part].T for part, _ in folds])
@@ -110,7 +95,7 @@ class LeastSquares:
 
     @property
     def _enough_runs(self) -> bool:
-        return int(self.run.max()) + 1 >= FEWEST_FOLDS - 2
+        return int(self.run.max()) + 1 >= const.FEWEST_FOLDS - 2
 
     @property
     def by_run(self) -> bool:
@@ -141,7 +126,7 @@ class LeastSquares:
         inner = sums[..., index[:, None], index].copy()
         side = np.arange(len(index))
         inner[..., side, side] += RIDGE * np.maximum(np.diag(self.whole)[index], 1e-300)
-        inner[..., side[: self.q], side[: self.q]] += self.noise * INDEPENDENT_S / self.prior_sd**2
+        inner[..., side[: self.q], side[: self.q]] += self.noise * const.INDEPENDENT_S / self.prior_sd**2
         return inner, sums[..., index, 0]
 
     def _solved(self, inner: Array, side: Array) -> Array:
@@ -173,7 +158,7 @@ class LeastSquares:
         index = self.index(chosen)
         seconds = float(self.seconds.sum())
         square = self.errors(index, self.fit(chosen)).total
-        return -0.5 * seconds / INDEPENDENT_S * float(np.log(max(square, 1e-300)))
+        return -0.5 * seconds / const.INDEPENDENT_S * float(np.log(max(square, 1e-300)))
 
     def leave_out(self, chosen: Sequence[int]) -> Left:
         """Each fold predicted from a fit to all others."""
@@ -208,7 +193,7 @@ class LeastSquares:
         from scipy.special import stdtr
 
         count = len(self.sums)
-        if count < SEVERAL_RUNS:
+        if count < const.SEVERAL_RUNS:
             return 1.0
         rise = np.abs(self.energy_left_out(more, after)) - np.abs(self.energy_left_out(few, before))
         rise -= slack * np.abs(self.sums[:, -2, -1])
@@ -286,8 +271,8 @@ def shows_alone(design: Design) -> NDArray[np.bool_]:
     known = len(rows) - len(effect)
     within, whole = (left_by_others(some, known) for some in (sums, sums.sum(axis=0)))
     total = np.diagonal(sums.sum(axis=0))[known:]
-    asked = (whole > TOLD_APART * total[:, None]) & (effect[:, None] != effect)
-    return np.asarray(np.any(asked & (within > SHOWN_ALONE * whole), axis=(1, 2)))
+    asked = (whole > const.TOLD_APART * total[:, None]) & (effect[:, None] != effect)
+    return np.asarray(np.any(asked & (within > const.SHOWN_ALONE * whole), axis=(1, 2)))
 
 
 def left_by_others(sums: Array, known: int) -> Array:
@@ -317,8 +302,8 @@ def far_from_right(source: Source) -> LeastSquares | None:
     squares, mean_w = LeastSquares.of(design), abs(source.layout.mean_power_w)
     error = np.sqrt(squares.leave_out(()).square / squares.seconds)
     rows = np.abs(design.residual - squares.fit(()) @ design.gradient[: squares.q])
-    often = np.average(rows > OFTEN * mean_w, weights=design.duration_s) > OFTEN_PART
-    return squares if np.median(error) > ROUGH * mean_w and often else None
+    often = np.average(rows > const.OFTEN * mean_w, weights=design.duration_s) > const.OFTEN_PART
+    return squares if np.median(error) > const.ROUGH * mean_w and often else None
 
 
 def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
@@ -350,8 +335,8 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
         finer = [(top[0] + i * 0.1 * reach, max(0.0, top[1] + j * 0.1 * reach)) for i, j in steps]
         top = min([top, *finer], key=lambda place: left(place).total)
         # a meter that lags is usual: where that leaves less than half of the squared error, a few folds may disagree
-        lags_only = top[0] == 0.0 and left(top).total < HALVED * left(best).total
-        level = HALVED_LEVEL if lags_only else DELAY_LEVEL
+        lags_only = top[0] == 0.0 and left(top).total < const.HALVED * left(best).total
+        level = const.HALVED_LEVEL if lags_only else const.DELAY_LEVEL
         if left(top).by_chance(left(best)) < level:
             best = top
     return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
@@ -377,4 +362,4 @@ def least_squares_clock(source: Source, near: Clock, chosen: Sequence[int], earl
 
     was = (near.delay_s, near.lag_s)
     best = uphill(score, was, 1.0, CLOCK_STEPS, 4, 3)
-    return at(*(best if left(*best).by_chance(left(*was)) < NEAR_LEVEL else was))
+    return at(*(best if left(*best).by_chance(left(*was)) < const.NEAR_LEVEL else was))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import ClassVar
 
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.glossary import column_of
 from missionsim.identify.settings import AS_MUCH
 from missionsim.numerals import rounded
@@ -47,8 +47,7 @@ class Record:
 
     def to_json(self) -> Json:
         """The fields, tuples as lists."""
-        told = {name: value for name, value in vars(self).items() if name not in self.untold}
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in told.items()}
+        return fields_of(self, " ".join(name for name in vars(self) if name not in self.untold))
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,8 @@ class Law:
 
     def to_json(self) -> Json:
         """All fields."""
-        return {
-            "formula": self.formula,
-            "parameters": {"k": {"value": self.k, "low": self.low, "high": self.high, "unit": self.unit}},
-            "energy_share": self.energy_share,
-            "behind_nats": self.behind_nats,
-            "depends_on": list(self.variables),
-        }
+        told = {"formula": self.formula, "parameters": {"k": fields_of(self, "value=k low high unit")}}
+        return told | fields_of(self, "energy_share behind_nats depends_on=variables")
 
 
 @dataclass(frozen=True)
@@ -178,23 +172,13 @@ class Proposal:
             before, after = (v if math.isfinite(v) else None for v in values)
             return {"before": before, "after": after}
 
+        names = "forms=laws depends_on=certain may_depend_on=possible energy_share energy_share_sd=share_sd"
         return {
-            "forms": [law.to_json() for law in self.laws],
-            "depends_on": list(self.certain),
-            "may_depend_on": list(self.possible),
-            "energy_share": self.energy_share,
-            "energy_share_sd": self.share_sd,
-            "rise_nats": self.rise_nats,
-            "penalty_nats": self.penalty_nats,
-            "forms_tried": self.tried,
-            "curve": None if self.curve is None else self.curve.to_json(),
+            **fields_of(self, f"{names} rise_nats penalty_nats forms_tried=tried curve"),
             "left_out_rmse_w": pair(self.left_out_rmse_w),
             "left_out_energy_error_pct": pair(self.left_out_energy_pct),
             "left_out_better": [self.better, self.runs],
             "heldout_rmse_w": pair(self.heldout_rmse_w),
             "heldout_energy_error_pct": pair(self.heldout_energy_pct),
-            "experiment": self.experiment,
-            "instead_of": list(self.instead_of),
-            "goes_with": list(self.goes_with),
-            "like": self.like,
+            **fields_of(self, "experiment instead_of goes_with like"),
         }

@@ -12,19 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from missionsim.identify import noise as noises
 from missionsim.identify.design import Design
 from missionsim.identify.gram import Blocks, eliminate_random, innovations
-from missionsim.identify.noise import (
-    Noise,
-    Shape,
-    arma_of,
-    edge_variance,
-    for_rows,
-    log_level,
-    start_factor,
-    start_noise,
-    without_outliers,
-)
 from missionsim.identify.settings import (
     HUBER,
     JITTER_SD_S,
@@ -51,13 +41,15 @@ FAR = 20.0
 """After a larger gain the information is computed anew."""
 
 
-def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:
+def fit_noise(
+    design: Design, chosen: Sequence[int], guess: noises.Noise | None = None, thorough: bool = True
+) -> noises.Noise:
     """Noise by restricted maximum likelihood with the chosen candidates in the mean.
 
     Weak log-normal priors hold parameters that few runs cannot show. Where it is `thorough`, heteroscedasticity and
     outliers are read off a first fit, and the second takes them in.
     """
-    noise = guess or start_noise(design)
+    noise = guess or noises.start_noise(design)
     likelihood = _Likelihood(design, len(chosen), noise)
     for enough in (ROUGHLY, ENOUGH) if thorough else (ENOUGH,):
         rows = Blocks.of(design, noise, design.residual[None, :], chosen)
@@ -74,7 +66,7 @@ class _Likelihood:
     runs. Without motion there is no motion gain to fit.
     """
 
-    def __init__(self, design: Design, chosen: int, noise: Noise) -> None:
+    def __init__(self, design: Design, chosen: int, noise: noises.Noise) -> None:
         sd = design.layout.prior_sd
         self.fixed = 1 + len(sd) + chosen
         self.precision = np.concatenate([sd**-2.0, np.full(chosen, SHARE_PRIOR)])
@@ -87,14 +79,14 @@ class _Likelihood:
         high = (border, 40 * border, math.exp(12.0), MOST_SLOW, *[math.exp(15.0)] * 2, LARGEST_GAIN, LARGEST_GAIN)
         self.low, self.high = (np.log(values)[: 8 - len(self.still)] for values in (low, high))
 
-    def place(self, noise: Noise) -> Array:
+    def place(self, noise: noises.Noise) -> Array:
         """Where a noise lies, within the bounds."""
         white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
         shares = (noise.fast_share / white, noise.slow_share / noise.fast_share)
         start = (noise.fast_s, noise.slow_s, *shares, noise.sigma_w, noise.offset_w, noise.gain, noise.motion_gain)
         return np.clip(np.log(start)[: len(self.low)], self.low, self.high)
 
-    def shape(self, x: Array) -> Shape:
+    def shape(self, x: Array) -> noises.Shape:
         fast_s, slow_s, fast, part = np.exp(x[:4]).tolist()
         every = 1.0 + fast * (1.0 + part)
         return self.step_s, fast_s, slow_s, fast / every, fast * part / every
@@ -125,9 +117,9 @@ class _Likelihood:
         )
         return np.asarray(log_det + rss + det + own)
 
-    def _of_noise(self, shape: Shape, sigma_w: float, offset_w: float, gain: float, motion_gain: float) -> float:
+    def _of_noise(self, shape: noises.Shape, sigma_w: float, offset_w: float, gain: float, motion_gain: float) -> float:
         """What a noise costs whatever the rows are: its size, the start of every stretch, and the priors."""
-        start = self.stretches * start_factor(*shape)[2]
+        start = self.stretches * noises.start_factor(*shape)[2]
         h, fast_s, slow_s, fast_share, slow_share = shape
         white = max(1e-6, 1 - fast_share - slow_share)
         off = (
@@ -148,7 +140,7 @@ class _Likelihood:
         their random effects, with that of the priors."""
 
         def log_spectrum(there: Array) -> Array:
-            ar, ma, _ = arma_of(*self.shape(there))
+            ar, ma, _ = noises.arma_of(*self.shape(there))
             own, past = (np.abs(p[0] + p[1] * TURN + p[2] * TURN**2) for p in (ma, ar))
             return np.asarray(2.0 * np.log(own / past))
 
@@ -168,7 +160,7 @@ class _Likelihood:
         return out
 
 
-def _fitted(cost: _Likelihood, noise: Noise, rows: Blocks, enough: float) -> Noise:
+def _fitted(cost: _Likelihood, noise: noises.Noise, rows: Blocks, enough: float) -> noises.Noise:
     """Filter and levels at the likelihood's best, by quasi-Newton steps (BFGS) from the expected information.
 
     The Fisher information knows the scale of every parameter and which of them go together, far from the best as well;
@@ -220,10 +212,10 @@ def _fitted(cost: _Likelihood, noise: Noise, rows: Blocks, enough: float) -> Noi
     return replace(noise, sigma_w=sigma_w, offset_w=offset_w, gain=gain, motion_gain=motion_gain)
 
 
-def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
+def _fit_scale(design: Design, noise: noises.Noise, chosen: Sequence[int]) -> noises.Noise:
     """Growth of the noise with power, and Huber weights, from the innovations."""
     e = innovations(design, replace(noise, weight=np.minimum(1.0, noise.weight)), chosen) / np.sqrt(noise.weight)
-    level = log_level(design)
+    level = noises.log_level(design)
     spread = float(np.var(level))
     exponent = noise.exponent
     if spread > 1e-4:
@@ -235,7 +227,7 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
     scale = np.exp(exponent * level)
     # innovations under the new scale, without whitening anew
     e = e * noise.scale / scale
-    ramp, switch = edge_variance(design, noise, scale)
+    ramp, switch = noises.edge_variance(design, noise, scale)
     tried_ramp = np.concatenate([[0.0], np.geomspace(3e-4, 0.3, 13)])
     tried_switch = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)]) if np.any(switch) else np.zeros(1)
     grid = np.array([(a, b) for a in tried_ramp for b in tried_switch])
@@ -257,8 +249,8 @@ def _weights(e: Array, variance: Array) -> Array:
     return np.asarray(huber / variance)
 
 
-def on_rows(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
+def on_rows(design: Design, noise: noises.Noise, chosen: Sequence[int]) -> noises.Noise:
     """A noise that was fitted to some of the runs, with the scale and the weights of all rows of a design."""
-    plain = without_outliers(design, for_rows(design, noise))
+    plain = noises.without_outliers(design, noises.for_rows(design, noise))
     e = innovations(design, plain, chosen) / np.sqrt(plain.weight)
     return replace(plain, weight=_weights(e, 1.0 / plain.weight))

@@ -8,41 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify import settings as const
 from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import innovations, project
 from missionsim.identify.model import Model
 from missionsim.identify.noise import mean_variance
 from missionsim.identify.proposed import plain, unit_of
-from missionsim.identify.settings import (
-    CURVE_LEVEL,
-    CURVE_NATS,
-    CURVE_NATS_ON_RAMPS,
-    FEWEST_HATS,
-    FEWEST_PEAKS,
-    FORM_FAINT,
-    FORM_LEVEL,
-    FORM_NATS,
-    FORM_SURE,
-    FREER,
-    GROSS,
-    HELD,
-    KNOTS,
-    LINE_RATIO,
-    LONG_BLOCK_S,
-    PEAKS,
-    PERIODIC_LEVEL,
-    RAMP,
-    RAMP_FORM_RATIO,
-    RAMP_TAIL_ROWS,
-    RAMP_WEIGHT,
-    RARE_TIME,
-    SLOW_NOISE,
-    SLOW_NOISE_S,
-    STANDS,
-    STEADY_PART,
-    SUPPORT_S,
-)
 from missionsim.numerals import rounded, watts
 from missionsim.physics import Array
 from missionsim.runs.covariates import known
@@ -58,9 +30,9 @@ def ramps(model: Model) -> NDArray[np.bool_]:
         base = design.base[part]
         step = np.abs(np.diff(base, prepend=base[0], append=base[-1]))
         change[part] = np.maximum(step[1:], step[:-1])
-        for later in range(1, min(RAMP_TAIL_ROWS, len(base) - 1) + 1):
+        for later in range(1, min(const.RAMP_TAIL_ROWS, len(base) - 1) + 1):
             change[part][later:] = np.maximum(change[part][later:], step[: -later - 1])
-    return np.asarray(change > RAMP * design.layout.mean_power_w)
+    return np.asarray(change > const.RAMP * design.layout.mean_power_w)
 
 
 def steady(model: Model) -> Model:
@@ -68,9 +40,9 @@ def steady(model: Model) -> Model:
     ramp bends every curve, and the base parameters are freer than their priors."""
     design = model.design
     ramp = ramps(model)
-    weight = np.where(ramp, RAMP_WEIGHT, 1.0) * model.noise.weight
+    weight = np.where(ramp, const.RAMP_WEIGHT, 1.0) * model.noise.weight
     free = design.layout.prior_sd.copy()
-    free[: len(design.layout.parameters)] *= FREER
+    free[: len(design.layout.parameters)] *= const.FREER
     layout = replace(design.layout, prior_sd=free)
     return replace(model, design=replace(design, layout=layout), noise=replace(model.noise, weight=weight))
 
@@ -78,7 +50,7 @@ def steady(model: Model) -> Model:
 def knots_of(values: Array) -> Array:
     """Knots of a piecewise linear curve: between the 2 % and 98 % quantile, ends included; fewer for few values."""
     distinct = np.unique(np.round(values, 9))
-    if len(distinct) <= KNOTS:
+    if len(distinct) <= const.KNOTS:
         return np.asarray(distinct)
     low, high = np.quantile(values, [0.01, 0.99])
     # much standing would take the lower knots, where nothing happens
@@ -88,7 +60,7 @@ def knots_of(values: Array) -> Array:
             low, high = min(0.0, float(np.quantile(moving, 0.02))), float(np.quantile(moving, 0.98))
     if high <= low:
         return np.asarray(np.unique([distinct[0], distinct[-1]]))
-    return np.linspace(low, high, KNOTS)
+    return np.linspace(low, high, const.KNOTS)
 
 
 def hats(values: Array, knots: Array) -> Array:
@@ -112,7 +84,7 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
     averaged = model.source.averaged(rows, model.clock)
     # a stretch of the curve that only rows beside ramps support says nothing about its shape
     seconds = np.abs(averaged) @ (model.design.duration_s * ~ramps(model))
-    limit = SUPPORT_S * (1.0 if not times else float(np.mean(np.abs(averaged))))
+    limit = const.SUPPORT_S * (1.0 if not times else float(np.mean(np.abs(averaged))))
     if known(covariate).ramps:
         return averaged, knots
     return averaged[seconds > limit], knots
@@ -141,7 +113,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     freedom = int(keep.sum())
     p_like = chance_of(gain, freedom)
     residual = y - values @ x
-    blocks = block_numbers(model, max(LONG_BLOCK_S, 15 * model.design.layout.step_s))
+    blocks = block_numbers(model, max(const.LONG_BLOCK_S, 15 * model.design.layout.step_s))
     count = int(blocks.max()) + 1
     # too few blocks for a sandwich; the likelihood decides alone
     if count <= freedom + 3:
@@ -165,9 +137,12 @@ def dependences(model: Model) -> list[Structure]:
     out: dict[str, Structure] = {}
     for name, times in tests:
         rows, knots = curve_rows(model, name, times)
-        if len(knots) > 3 and rows.shape[0] < FEWEST_HATS:
+        if len(knots) > 3 and rows.shape[0] < const.FEWEST_HATS:
             continue
-        for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
+        for judge, least, level in (
+            (flat, const.CURVE_NATS, const.CURVE_LEVEL),
+            (model, const.CURVE_NATS_ON_RAMPS, 0.1 * const.CURVE_LEVEL),
+        ):
             gain, p_value, values = test_curve(judge, rows, model.chosen)
             fitted = values @ rows
             size = _size(model, fitted)
@@ -240,7 +215,7 @@ def periodic(model: Model) -> Structure | None:
     top = int(np.argmax(ratio))
     looks = 1.3 * len(parts)  # the smoothed mean of so many periodograms is distributed as gamma
     p_value = float(gammaincc(looks, ratio[top] * 0.97 * looks)) * int(usable.sum())
-    if p_value > PERIODIC_LEVEL or ratio[top] < LINE_RATIO:
+    if p_value > const.PERIODIC_LEVEL or ratio[top] < const.LINE_RATIO:
         return None
     # the line lies between the frequencies of the periodogram; its period and about its standard error, both in rows
     frequency = (top + 1) / length
@@ -261,9 +236,9 @@ def low_frequency_noise(model: Model) -> Structure | None:
 
     Without this, the correlated noise of the model would take up in silence whatever is unknown.
     """
-    variance = mean_variance(vars(model.noise), SLOW_NOISE_S)
+    variance = mean_variance(vars(model.noise), const.SLOW_NOISE_S)
     size = float(model.noise.total_sd_w * np.sqrt(variance) / model.design.layout.mean_power_w)
-    if size < SLOW_NOISE:
+    if size < const.SLOW_NOISE:
         return None
     words = (
         f"the residual wanders by {100 * size:.2g} % of the power from one half minute to the next, more than a meter "
@@ -277,13 +252,14 @@ def peaks(left_w: Array, seconds: Array) -> str:
     where they do not. Both of shape (n,), with the time that each row stands for."""
     order = np.argsort(-np.abs(left_w))
     square, time = np.cumsum((left_w**2 * seconds)[order]), np.cumsum(seconds[order])
-    rare = int(np.searchsorted(time, RARE_TIME * time[-1], side="right"))
-    if rare < FEWEST_PEAKS or not square[rare - 1] > PEAKS * square[-1]:
+    rare = int(np.searchsorted(time, const.RARE_TIME * time[-1], side="right"))
+    if rare < const.FEWEST_PEAKS or not square[rare - 1] > const.PEAKS * square[-1]:
         return ""
     size_w = float(np.sqrt(np.average(left_w[order[:rare]] ** 2, weights=seconds[order[:rare]])))
     return (
         f"peaks of about {watts(size_w, 2)} hold {100 * square[rare - 1] / square[-1]:.0f} % of the squared error in "
-        f"{100 * RARE_TIME:.0f} % of the time, and no column says when: starts between two rows, or faulty readings"
+        f"{100 * const.RARE_TIME:.0f} % of the time, and no column says when: starts between two rows, or faulty "
+        "readings"
     )
 
 
@@ -302,30 +278,30 @@ def wrong_form(model: Model, column: int) -> Structure | None:
     if rows.shape[0] < 2:
         return None  # too few values of the covariate to judge a form
     own_row = model.design.phi[[column]]
-    judges = [(model, RAMP_FORM_RATIO)]
+    judges = [(model, const.RAMP_FORM_RATIO)]
     if not known(covariate).ramps:
         away = steady(model)
         gain, gain_away = (test_curve(m, own_row, rest)[0] for m in (model, away))
-        if gain_away > STEADY_PART * gain:  # a surge at each start acts on ramps alone
+        if gain_away > const.STEADY_PART * gain:  # a surge at each start acts on ramps alone
             judges.insert(0, (away, settings.form_ratio))
     for judge, ratio in judges:
         beyond, p_value, values = test_curve(judge, rows, model.chosen)
         # blocks that differ much among themselves hide a misfit from the sandwich, but not one as loud as this
-        loud = beyond > CURVE_NATS_ON_RAMPS
-        faint = beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS)
-        if faint or (p_value > FORM_FAINT and not loud):
+        loud = beyond > const.CURVE_NATS_ON_RAMPS
+        faint = beyond < const.CURVE_NATS or (p_value > const.FORM_LEVEL and beyond < const.FORM_NATS)
+        if faint or (p_value > const.FORM_FAINT and not loud):
             continue
         layout = judge.design.layout
         if candidate.prior in layout.parameters:
             sd = layout.prior_sd.copy()
-            sd[layout.parameters.index(candidate.prior)] *= HELD
+            sd[layout.parameters.index(candidate.prior)] *= const.HELD
             judge = replace(judge, design=replace(judge.design, layout=replace(layout, prior_sd=sd)))
         # both against the model without the effect, so that they compare
         own, _, _ = test_curve(judge, own_row, rest)
         free, _, _ = test_curve(judge, np.vstack([rows, own_row]), rest)
         # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that
-        sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
-        if own < GROSS * free or (own < ratio * free and sure):
+        sure = p_value < const.FORM_SURE and beyond > const.FORM_NATS and not known(covariate).noisy_form
+        if own < const.GROSS * free or (own < ratio * free and sure):
             size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
             curve = _words(model, covariate, times, knots, values, _beside(model, values @ rows))
             words = f"{plain(covariate)}: form not right ({curve})"
@@ -339,13 +315,13 @@ def stands_without(model: Model, column: int, structure: Structure) -> bool:
     If not, the effect may be no more than the shadow of the structure.
     """
     own, curve, both = _beside_curve(model, column, structure)
-    return both - curve >= STANDS * own
+    return both - curve >= const.STANDS * own
 
 
 def outdone(model: Model, column: int, structure: Structure) -> bool:
     """Whether a structure's free curve in the place of an effect takes most of its gain and explains far more."""
     own, curve, both = _beside_curve(model, column, structure)
-    return both - curve < STANDS * own < STANDS * model.constraints.settings.form_ratio * curve
+    return both - curve < const.STANDS * own < const.STANDS * model.constraints.settings.form_ratio * curve
 
 
 def _beside_curve(model: Model, column: int, structure: Structure) -> tuple[float, float, float]:

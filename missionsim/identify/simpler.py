@@ -8,23 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from missionsim.identify import settings as const
 from missionsim.identify.design import Design, Source
 from missionsim.identify.evidence import AT_REST_TOO, REST_S, cause_is_constant, seconds_at_rest
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.settings import (
-    AS_MUCH,
-    AT_LEVEL,
-    LEAST_FREE_SD,
-    LEVEL_SHARE,
-    ODDS_NATS,
-    RIVAL_PART,
-    SAME_COLUMN,
-    SEVERAL_RUNS,
-    UNCLEAR,
-)
 
 
 def may_differ(source: Source) -> bool:
@@ -34,7 +24,7 @@ def may_differ(source: Source) -> bool:
     work of these. Nor where base parameters have no prior, as those fitted to these very logs: they follow the meter.
     """
     priors = source.layout.prior_sd[: len(source.layout.parameters)]
-    return not np.any(priors >= LEAST_FREE_SD) and abs(plain_ratio(source) - 1.0) > AT_LEVEL
+    return not np.any(priors >= const.LEAST_FREE_SD) and abs(plain_ratio(source) - 1.0) > const.AT_LEVEL
 
 
 def plain_ratio(source: Source) -> float:
@@ -73,7 +63,7 @@ def instead_of_effects(model: Model) -> float | None:
     if not model.chosen or not may_differ(model.source):
         return None
     factor, part = common_factor(model)
-    none = abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH
+    none = abs(factor - 1.0) < const.LEVEL_SHARE or part < const.AS_MUCH
     return None if none or not _at_rest_too(model, factor) else factor
 
 
@@ -97,12 +87,12 @@ def parameters_instead(model: Model, doubtful: Collection[str] = ()) -> dict[str
         name = constraints.of_column(k).prior
         if name in layout.parameters:  # what two parameters imitate together is the twin of neither
             a, b = model.design.phi[k], model.design.gradient[layout.parameters.index(name)]
-            if abs(float(a @ b)) > SAME_COLUMN * float(np.linalg.norm(a) * np.linalg.norm(b)):
+            if abs(float(a @ b)) > const.SAME_COLUMN * float(np.linalg.norm(a) * np.linalg.norm(b)):
                 twins.add(name)
     freed: dict[int, Gram] = {}
     for i in (i for i, name in enumerate(layout.parameters) if name not in twins):
         freedom = gram.prior_precision.copy()
-        freedom[i] = LEAST_FREE_SD**-2.0
+        freedom[i] = const.LEAST_FREE_SD**-2.0
         freed[i] = Gram(gram.per_run, freedom)
     found: dict[str, tuple[str, float, list[str]]] = {}
     for number in constraints.numbers(model.chosen):
@@ -110,7 +100,7 @@ def parameters_instead(model: Model, doubtful: Collection[str] = ()) -> dict[str
             continue
         own, rest = constraints.split(model.chosen, number)
         gain = gram.gain(model.chosen) - gram.gain(rest) - float(constraints.grid_nats[own[0]])
-        needed = gain - max(ODDS_NATS, settings.noisy_rival_loss * gain)
+        needed = gain - max(const.ODDS_NATS, settings.noisy_rival_loss * gain)
         left = float(gram.conditional(rest)[0, 0])
         for i, free in freed.items() if needed > 0.0 else ():
             rise = 0.5 * (left - float(free.conditional(rest)[0, 0]))
@@ -167,7 +157,7 @@ def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> b
     ends_s = begins_s + [design.time_s[rows][-1] for rows in design.runs]
     if np.all(begins_s[by_time[1:]] >= ends_s[by_time[:-1]]):  # one robot drives one run at a time
         alike = [by_time] * len(begin)
-    if max(map(len, alike)) <= SEVERAL_RUNS:
+    if max(map(len, alike)) <= const.SEVERAL_RUNS:
         return False
     place = [2.0 * runs.tolist().index(j) - len(runs) + 1.0 for j, runs in enumerate(alike)]
     order = (np.array(place) / max(1.0, *place))[design.run_index()]
@@ -177,9 +167,9 @@ def drifts_as_well(design: Design, own: Sequence[int], rest: Sequence[int]) -> b
     for i in range(len(design.phi), len(design.phi) + len(drifts)):
         other = squares.leave_out([*rest, i])
         # most of what they explain is the drift's as well, and is not theirs beside it (Davidson and MacKinnon 1981)
-        least = RIVAL_PART * (without.total - with_it.total)
+        least = const.RIVAL_PART * (without.total - with_it.total)
         kept = other.total - squares.leave_out([*rest, *own, i]).total
-        if other.within(with_it, UNCLEAR) and without.total - other.total > least > kept:
+        if other.within(with_it, const.UNCLEAR) and without.total - other.total > least > kept:
             return True
     return False
 
@@ -199,7 +189,7 @@ def level_difference(model: Model) -> Structure | None:
     error = value @ np.vstack([design.gradient[:count], design.phi[list(model.chosen)]]) - design.residual
     seconds = design.duration_s
     errors = np.array([float(error[r] @ seconds[r]) / float(design.y[r] @ seconds[r]) for r in design.runs])
-    if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
+    if not (np.all(errors > const.LEVEL_SHARE) or np.all(errors < -const.LEVEL_SHARE)):
         return None
     factor = 1.0 / (1.0 + float(np.median(errors)))
     words = f"the meter reads {factor:.3g} times what the model gives in every run"

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from missionsim.identify import settings as const
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Evidence, cause_is_constant, chance_of, evidence_of, nats_needed, tails
 from missionsim.identify.forward import Choice, Forward, forward
@@ -17,18 +18,6 @@ from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import low_frequency_noise
 from missionsim.identify.rules import last_gates, weighed
-from missionsim.identify.settings import (
-    CLOSE,
-    FRESH_NATS,
-    GLANCE,
-    JOINT_NATS,
-    LABEL_LEVEL,
-    PROMISING,
-    SEVERAL_RUNS,
-    TRIED,
-    UNUSUAL_GAIN,
-    USUAL_GAIN,
-)
 
 
 def choose(source: Source) -> Choice:
@@ -46,8 +35,8 @@ def choose(source: Source) -> Choice:
         found, source = step, step.model.source
     found = with_what_runs_differ_by(with_levels(found))
     noise = found.model.noise
-    apart = noise.offset_w > USUAL_GAIN * source.layout.mean_power_w or noise.motion_gain > UNUSUAL_GAIN
-    if len(source.runs) > SEVERAL_RUNS and (apart or low_frequency_noise(found.model) is not None):
+    apart = noise.offset_w > const.USUAL_GAIN * source.layout.mean_power_w or noise.motion_gain > const.UNUSUAL_GAIN
+    if len(source.runs) > const.SEVERAL_RUNS and (apart or low_frequency_noise(found.model) is not None):
         # of a column that is noisy or late, or constant in runs, what runs differ by and a noise as slow as it is take
         # what it says
         selected = forward(source, near=True)
@@ -95,7 +84,7 @@ def _next_step(source: Source, found: Choice) -> Choice | None:
         for _, best in sorted(options, key=lambda one: (-round(one[0], 6), one[1].model.chosen)):
             # the noise without an effect had swallowed it, and a fit that begins there may stay there
             fresh = anew(best.model.chosen)
-            if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
+            if log_likelihood(fresh) > log_likelihood(best.model) + const.FRESH_NATS:
                 best = replace(best, model=fresh, evidence=weighed(fresh, fresh.chosen))
             # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off
             # leaves a constant friction over; and the effect itself is asked again there
@@ -132,14 +121,14 @@ def _trials(model: Model, refused: dict[int, Evidence]) -> list[list[tuple[int, 
     gram = make_gram(model.design, without_outliers(model.design, model.noise))
     gains = single_gains(gram, constraints, model.chosen)
     needed = nats_needed(float(np.max(tails(constraints, bool(model.chosen)))))
-    order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > PROMISING * needed]
+    order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > const.PROMISING * needed]
     rest = gram.conditional(model.chosen)
     best: list[int] = []
     for k in order:
         # one column of a grid is enough: its shape is refitted anyway
         if any(constraints.effect[k] == constraints.effect[o] for o in best):
             continue
-        if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < GLANCE * constraints.settings.min_share:
+        if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < const.GLANCE * constraints.settings.min_share:
             if k not in refused:  # too small to matter, without a refit of the noise
                 own, gain = model.gram.conditional(model.chosen)[[0, 1 + k], 1 + k], float(gains[k])
                 refused[k] = Evidence(
@@ -153,8 +142,8 @@ def _trials(model: Model, refused: dict[int, Evidence]) -> list[list[tuple[int, 
                 )
             continue
         best.append(k)
-    close = [k for k in best[:TRIED] if gains[k] >= CLOSE * gains[best[0]]]
-    further = best[len(close) : len(close) + TRIED]
+    close = [k for k in best[: const.TRIED] if gains[k] >= const.CLOSE * gains[best[0]]]
+    further = best[len(close) : len(close) + const.TRIED]
     trials = [(*model.chosen, k) for k in close]
     if trials and model.chosen:
         swapped = best_set(gram, constraints, len(model.chosen) + 1, trials[0])
@@ -182,7 +171,7 @@ def forced(source: Source, effects: Sequence[str]) -> Choice:
             raise ValueError(f"effect {name} has no column that acts in these runs")
         if constraints.joint[own[0]]:
             gains = single_gains(model.gram, constraints, model.chosen)
-            new = [k for k in own if np.isfinite(gains[k]) and gains[k] > JOINT_NATS]
+            new = [k for k in own if np.isfinite(gains[k]) and gains[k] > const.JOINT_NATS]
             new = new or [own[int(np.argmax(gains[own]))]]
         else:
             # asked for by name: a wrong sign is told, not hidden
@@ -205,7 +194,7 @@ def with_levels(choice: Choice) -> Choice:
         model = choice.model
         rest = tuple(k for k in model.chosen if k not in own)
         p_value = _between(choice, own, rest)
-        if not p_value < LABEL_LEVEL or set(own) <= set(model.chosen):
+        if not p_value < const.LABEL_LEVEL or set(own) <= set(model.chosen):
             continue
         # a noise that had taken the floors for runs that differ may keep them: the fit begins anew
         model = fit_model(model.source, (*rest, *own))
@@ -233,7 +222,7 @@ def with_what_runs_differ_by(choice: Choice) -> Choice:
     noise fitted beside something louder had taken that for runs that differ unusually."""
     model = choice.model
     options = []
-    for k in np.flatnonzero(~model.constraints.joint) if model.noise.motion_gain > UNUSUAL_GAIN else ():
+    for k in np.flatnonzero(~model.constraints.joint) if model.noise.motion_gain > const.UNUSUAL_GAIN else ():
         if int(k) in model.chosen or not cause_is_constant(model, int(k)):
             continue
         fresh = fit_model(model.source, (*model.chosen, int(k)))
@@ -258,7 +247,7 @@ def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:
     freedom = len(driven) - len(groups)
     if len(groups) < 2 or freedom < 1:
         return 1.0
-    usual = (model.noise.total_sd_w / (USUAL_GAIN * design.layout.mean_power_w)) ** 2
+    usual = (model.noise.total_sd_w / (const.USUAL_GAIN * design.layout.mean_power_w)) ** 2
     least = 1.0
     # beside any offset of the run, as of a base that is off, or such as meters have: at one speed there is no other
     for offset in (1e-9, usual):

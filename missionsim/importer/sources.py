@@ -20,21 +20,8 @@ from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
+from missionsim.logs import readers as reading
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.logs.readers import (
-    Options,
-    Reader,
-    Topic,
-    is_echo,
-    not_there,
-    reader_of,
-    recorded,
-    registry,
-    run_of,
-    source_suffixes,
-    unpacked_name,
-    without_codes,
-)
 from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -70,11 +57,11 @@ def find_files(given: Sequence[Path]) -> list[Path]:
         elif path.exists():
             inside = [path]
         else:
-            faults.append(not_there(path))
+            faults.append(reading.not_there(path))
             continue
         if not inside:
             message = "nothing matches this pattern" if not path.exists() else "this folder holds nothing to import"
-            faults.append(Fault(str(path), 0, 0, message, allowed="files " + ", ".join(source_suffixes())))
+            faults.append(Fault(str(path), 0, 0, message, allowed="files " + ", ".join(reading.source_suffixes())))
         found |= dict.fromkeys(inside)
     if faults:
         raise InputError(faults)
@@ -85,13 +72,15 @@ def _inside(folder: Path) -> list[Path]:
     """What a folder holds to import: files, bags, and the files of bags that have lost their description; where it
     holds nothing itself, or only a table of its folders, the files in those."""
     found: list[Path] = []
-    loose = tuple(suffix for reader in registry().values() if reader.folder for suffix in reader.suffixes)
+    loose = tuple(suffix for reader in reading.registry().values() if reader.folder for suffix in reader.suffixes)
     for path in sorted(p for p in folder.iterdir() if not (p.name.startswith(".") or _packed_beside(p))):
-        if path.suffix.lower() in source_suffixes() or _is_source(path) or is_echo(path):
+        if path.suffix.lower() in reading.source_suffixes() or _is_source(path) or reading.is_echo(path):
             found.append(path)
         elif path.is_dir():
             found += sorted(p for p in path.iterdir() if p.suffix.lower() in loose and not p.name.startswith("."))
-    files = (p for p in sorted(folder.glob("*/*")) if p.suffix.lower() in source_suffixes() and not _packed_beside(p))
+    files = (
+        p for p in sorted(folder.glob("*/*")) if p.suffix.lower() in reading.source_suffixes() and not _packed_beside(p)
+    )
     inner = [p for p in files if not p.name.startswith(".") and not p.parent.name.startswith(".")]
     if len(found) == 1:
         listed = _listed(found[0], {path.parent.name for path in inner})
@@ -101,7 +90,7 @@ def _inside(folder: Path) -> list[Path]:
 
 def _packed_beside(path: Path) -> bool:
     """Whether a packed file is an archive of several, or one that lies beside it unpacked."""
-    bare = unpacked_name(path.name)
+    bare = reading.unpacked_name(path.name)
     return bare != path.name and (bare.lower().endswith(".tar") or path.with_name(bare).exists())
 
 
@@ -122,7 +111,9 @@ def _listed(path: Path, folders: Collection[str]) -> Collection[str]:
 
 def _is_source(path: Path) -> bool:
     """Whether a folder is one source, as a bag is."""
-    return path.is_dir() and any(reader.folder and (path / reader.folder).exists() for reader in registry().values())
+    return path.is_dir() and any(
+        reader.folder and (path / reader.folder).exists() for reader in reading.registry().values()
+    )
 
 
 def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
@@ -151,12 +142,12 @@ def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
 def _named(files: Sequence[Path]) -> list[tuple[str, Path]]:
     """Name of the run of each file: that of its folder, where the names of files in several are alike."""
     folders = [path.resolve().parent for path in files]
-    alike = Counter(run_of(path) for path in files)
+    alike = Counter(reading.run_of(path) for path in files)
     inside = Counter(folders)
     return [
         (run if alike[run] == 1 else at.name if inside[at] == 1 else f"{at.name}_{run}", path)
         for path, at in zip(files, folders, strict=True)
-        for run in [run_of(path)]
+        for run in [reading.run_of(path)]
     ]
 
 
@@ -199,20 +190,20 @@ def read_source(source: Source, spec: MapSpec) -> RawTable:
         return raw
     if spec.files:
         return _joined(source, spec)
-    reader = reader_of(source.path)
+    reader = reading.reader_of(source.path)
     if reader.table is not None:
         return with_names(reader.table(source.path, table_options(spec)), spec)
     if not spec.signals:
         told, allowed = f"a map for a {reader.title} needs signals", "signals: {volts: /battery_state.voltage}"
         raise InputError.single(told, file=str(spec.path), allowed=allowed)
     wanted = {signal.field.strip() for signal in spec.signals.values()}
-    found = recorded(reader, source.path, Options(fields=wanted, clock=spec.stamp))
+    found = reading.recorded(reader, source.path, reading.Options(fields=wanted, clock=spec.stamp))
     raw = _merged(found.topics, spec, source.path, reader)
     raw.remarks[:0] = found.remarks
     return raw
 
 
-def table_options(spec: MapSpec) -> Options:
+def table_options(spec: MapSpec) -> reading.Options:
     """What a map wants of a table."""
     named = {signal.field.strip() for signal in spec.signals.values()}
     words = spec.words()
@@ -222,7 +213,7 @@ def table_options(spec: MapSpec) -> Options:
         numbered = any(field.startswith("#") for field in named) or name.rpartition(" #")[0] in named
         return spec.others or name in named or numbered or identifier(name) in words
 
-    return Options(wants=wants, header=spec.table.header, delimiter=spec.table.delimiter)
+    return reading.Options(wants=wants, header=spec.table.header, delimiter=spec.table.delimiter)
 
 
 def with_names(raw: RawTable, spec: MapSpec) -> RawTable:
@@ -256,7 +247,7 @@ def column_name(field: str, names: Sequence[str]) -> str | None:
     return None
 
 
-def _merged(topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader | None) -> RawTable:
+def _merged(topics: Sequence[reading.Topic], spec: MapSpec, path: Path, reader: reading.Reader | None) -> RawTable:
     signals: dict[str, Signal] = {}
     faults: list[Fault] = []
     known: list[str] | None = None
@@ -299,7 +290,7 @@ def _joined(source: Source, spec: MapSpec) -> RawTable:
             "a map for files needs signals", file=str(spec.path), allowed="signals: {volts: FILE.COLUMN}"
         )
     remarks: list[Remark] = []
-    topics: list[Topic] = []
+    topics: list[reading.Topic] = []
     clocks: dict[str, str] = {}
     named = [signal.field.strip().partition(".") for signal in spec.signals.values()]
     for alias, file in spec.files.items():
@@ -315,18 +306,18 @@ def _joined(source: Source, spec: MapSpec) -> RawTable:
 
 def _parts(
     path: Path, alias: str, file: FileMap, own: set[str], spec: MapSpec
-) -> tuple[list[Topic], str, list[Remark]]:
+) -> tuple[list[reading.Topic], str, list[Remark]]:
     """Topics of one of several files, the kind of its times, and remarks."""
-    reader = reader_of(path)
+    reader = reading.reader_of(path)
     lag = float(file.lag) if file.lag is not None else 0.0
     if reader.recording is not None:
-        found = recorded(reader, path, Options(fields=own, clock=spec.stamp))
+        found = reading.recorded(reader, path, reading.Options(fields=own, clock=spec.stamp))
         for topic in found.topics:
             topic.name, topic.time_s = f"{alias}.{topic.name}", topic.time_s + (found.start_s - lag)
         return found.topics, "utc", found.remarks
     assert reader.table is not None
     mixed = file.long is not None
-    raw = reader.table(path, Options(header=spec.table.header, delimiter=spec.table.delimiter, mixed=mixed))
+    raw = reader.table(path, reading.Options(header=spec.table.header, delimiter=spec.table.delimiter, mixed=mixed))
     if not file.time:
         allowed = f"time: one of {', '.join(raw.names or raw.columns)}, or [date, time]"
         raise InputError(spec.document.fault(("files", alias), "the column of its time is missing", allowed=allowed))
@@ -346,15 +337,15 @@ def _parts(
             if name is not None and name not in raw.columns:
                 raise InputError(missing_field(spec, alias, name, raw.names, raw.file, ("files", alias, "long", key)))
         topics = [
-            Topic(f"{alias}.{name}", stamps.seconds[rows][known[rows]] - lag, {"": values[known[rows]]})
+            reading.Topic(f"{alias}.{name}", stamps.seconds[rows][known[rows]] - lag, {"": values[known[rows]]})
             for name, rows, values in signals_of(raw, file.long)
         ]
-        return without_codes(topics, told), stamps.kind, told
+        return reading.without_codes(topics, told), stamps.kind, told
     columns: dict[str, ColumnData] = {name: data[known] for name, data in raw.columns.items() if name not in names}
     for field in own:
         if (name := column_name(field, raw.names)) is not None and name not in names:
             columns[field] = columns[name]
-    return [Topic(alias, stamps.seconds[known] - lag, columns)], stamps.kind, told
+    return [reading.Topic(alias, stamps.seconds[known] - lag, columns)], stamps.kind, told
 
 
 def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str | None) -> Stamps:

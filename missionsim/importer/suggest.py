@@ -13,20 +13,13 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import InputError
-from missionsim.importer import suggest_further, suggest_motion, suggest_power
+from missionsim.importer import suggest_further, suggest_motion, suggest_power, suggest_rows
 from missionsim.importer.draft import Draft, quoted
 from missionsim.importer.long_tables import recognised, signals_of
 from missionsim.importer.one_clock import one_clock
 from missionsim.importer.roles import Field, Guess, fields_of, guess_all, known_unit, says, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
-from missionsim.importer.suggest_rows import (
-    join_runs,
-    recognised_runs,
-    seconds_and_nanoseconds,
-    suggest_time,
-    table_of_runs,
-)
 from missionsim.labels import Labels
 from missionsim.logs.clean import in_turn
 from missionsim.logs.raw import Remark
@@ -97,31 +90,31 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     `paths`: one file (the first of several of the same kind), or files of one run that have to be joined; `battery`:
     what the robot calls the battery that was measured. Raises InputError: a file that cannot be read.
     """
-    table = table_of_runs(paths)
+    table = suggest_rows.table_of_runs(paths)
     paths = [path for path in paths if table is None or not path.samefile(table[0])]
     joined = _to_join(paths)
     draft = _joined(joined) if joined else _single(paths[0])
     if draft.direct:
-        suggest_time(draft, paths[0])
+        suggest_rows.suggest_time(draft, paths[0])
     elif "time_s" not in draft.columns:
         draft.column("time_s", "time_s", Guess("time", "time_s", "", 2.0, "time of the messages", "sure"))
     suggest_power.suggest(draft)
     suggest_motion.suggest(draft)
     if draft.direct and draft.time_s is not None:
         times = {*draft.columns["time_s"][1].field.split("\n")}
-        times |= {name for pair in seconds_and_nanoseconds(draft.fields) for name in pair}
+        times |= {name for pair in suggest_rows.seconds_and_nanoseconds(draft.fields) for name in pair}
         first = {name: (guess.field.partition("\n")[0], guess.unit) for name, (_, guess) in draft.columns.items()}
         numbers = {one for one, field in draft.fields.items() if not isinstance(field.values, Labels)}
         found = {name: draft.values(*one) for name, one in first.items() if one[0] in numbers}
         turning = {name: first[name][0] for name in in_turn(found | {"time_s": draft.time_s})}
-        draft.head |= recognised_runs(draft.fields, draft.time_s, times, turning)
+        draft.head |= suggest_rows.recognised_runs(draft.fields, draft.time_s, times, turning)
         if turning and "by" not in draft.head.get("runs", ""):
             draft.missing.append("rows of several recordings in turn, and no column tells them apart: part the file")
         if table is None and (by := re.match(r"\{by: \[(\w+)\]", draft.head.get("runs", ""))):
             apart = next(one.values for name, one in draft.fields.items() if identifier(name) == by[1])
-            table = table_of_runs(paths, list(dict.fromkeys(keys_of(apart))))
+            table = suggest_rows.table_of_runs(paths, list(dict.fromkeys(keys_of(apart))))
     if table is not None:
-        join_runs(draft, *table)
+        suggest_rows.join_runs(draft, *table)
     suggest_motion.suggest_others(draft)
     suggest_further.suggest(draft)
     if joined:
@@ -239,7 +232,7 @@ def _joined(paths: Mapping[Path, Sequence[Path]]) -> Draft:
         more: dict[str, Any] = {}
         if reader.table is not None:
             own = Draft({one.name: one for one in fields}, True)
-            suggest_time(own, path)
+            suggest_rows.suggest_time(own, path)
             if own.missing:
                 told = "no column looks like a time: write it in the place of TIME"
                 draft.missing.append(f"{path.parent.name}/{path.name}: {told}")

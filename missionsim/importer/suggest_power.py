@@ -9,17 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.importer import suggest_energy as energy
 from missionsim.importer.draft import Draft
 from missionsim.importer.roles import ROLES, Guess, folded, says, words_of
-from missionsim.importer.suggest_energy import (
-    from_charge,
-    from_counter,
-    goes_back,
-    negated,
-    net,
-    sum_of_cells,
-    sum_of_currents,
-)
 from missionsim.importer.suggest_meters import (
     current_alone,
     from_meters,
@@ -40,13 +32,13 @@ def suggest(draft: Draft) -> None:
     """Add the columns of the battery to a draft, or say that there are none."""
     power = [guess for guess in draft.best("power", 0.7) if not says("no_battery", words_of(guess.field)[0])]
     power = [guess for guess in power if np.isfinite(draft.values(guess.field)).any() and not _counts(draft, guess)]
-    power = [guess for guess in power if not goes_back(guess) and not _of_a_quaternion(draft, guess.field)]
+    power = [guess for guess in power if not energy.goes_back(guess) and not _of_a_quaternion(draft, guess.field)]
     power.sort(key=lambda guess: (folded(draft.fields[guess.field]) == "constant", -_as_a_whole(guess)))
     power = _all_sides(draft, power)
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
     volts.sort(key=lambda guess: folded(draft.fields[guess.field]) == "constant")
-    volts = sum_of_cells(draft, volts, not power and bool(amps))
+    volts = energy.sum_of_cells(draft, volts, not power and bool(amps))
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
     power = power if pair is not None else with_larger_parts(draft, power)
@@ -55,7 +47,9 @@ def suggest(draft: Draft) -> None:
     elif pair is not None and (says("all_fed", _called(draft, pair[1].field)) or not sides(draft)):
         sources = from_meters(draft, pair) or _from_pair(draft, *pair)
     else:
-        sources = from_sides(draft) or _from_array(draft) or from_counter(draft) or from_charge(draft, volts)
+        sources = (
+            from_sides(draft) or _from_array(draft) or energy.from_counter(draft) or energy.from_charge(draft, volts)
+        )
         sources = sources or _from_two_files(draft, volts, amps) or current_alone(draft, volts, amps)
     if "sides_w" in draft.let and not any(guess.field == "sides_w" for _, guess in draft.columns.values()):
         del draft.let["sides_w"], draft.fields["sides_w"]
@@ -197,10 +191,10 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
         watts = watts * 1e-3
     if pair is None and any(re.search(r"\b(cadence|heart)\b", words_of(name)[0]) for name in draft.fields):
         guess = replace(guess, sure="a guess", why=f"{guess.why}; perhaps a rider's, who has a cadence")
-    guess, formula = net(draft, guess, "watts")
+    guess, formula = energy.net(draft, guess, "watts")
     if np.nanmean(watts) < 0:
         guess = replace(guess, why=f"{guess.why}; negative on average, a log counts what is delivered as positive")
-        formula = negated(formula)
+        formula = energy.negated(formula)
     draft.column("power_robot_w", formula, guess)
     if pair is not None and _beside(draft, guess, pair[0]):
         draft.column("voltage_robot_v", draft.ref(pair[0].field, "volts"), pair[0])
@@ -208,10 +202,10 @@ def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) ->
 
 
 def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
-    amps = sum_of_currents(draft, volts, amps)
+    amps = energy.sum_of_currents(draft, volts, amps)
     sign, why = _sign(draft, volts, amps)
     v = draft.ref(volts.field, "volts")
-    amps, i = net(draft, amps, "amps")
+    amps, i = energy.net(draft, amps, "amps")
     i = f"({i})" if sign and " " in i else i
     draft.column("voltage_robot_v", v, volts)
     sure = amps.sure if not why.startswith("?") else "a guess"

@@ -11,22 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Covariates
+from missionsim.identify import noise as noises
 from missionsim.identify.align import CLOCK_STEPS, uphill
 from missionsim.identify.data import Column
 from missionsim.identify.design import Design
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood, spread
-from missionsim.identify.noise import (
-    START_ROWS,
-    Noise,
-    arma_of,
-    block_filter,
-    bounded_noise,
-    for_rows,
-    start_factor,
-    start_noise,
-    states_after,
-)
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise
 from missionsim.physics import Array
@@ -73,19 +63,19 @@ class Ground:
         inside = tuple(k for k in self.chosen if any(k in own for _, own in held))
         return replace(self, model=_refitted(self.model, self.design, inside, self.model.noise), held=held)
 
-    def plain(self, noise: Noise) -> Noise:
+    def plain(self, noise: noises.Noise) -> noises.Noise:
         """A noise whose weights were not read off the residual: where an unknown law acts, rows look like outliers."""
-        return for_rows(self.design, noise)
+        return noises.for_rows(self.design, noise)
 
-    def usual(self) -> Noise:
+    def usual(self) -> noises.Noise:
         """Noise as meters and drives usually have it, whatever this residual looks like."""
-        return start_noise(self.design)
+        return noises.start_noise(self.design)
 
     def averaged(self, raw: Sequence[Array]) -> Array:
         """Columns (k, rows) of each run at the raw rate as rows of the design, shape (k, n)."""
         return self.model.source.averaged(raw, self.model.clock)
 
-    def with_law(self, watts: Array, start: Noise | None = None, other: Noise | None = None) -> Model:
+    def with_law(self, watts: Array, start: noises.Noise | None = None, other: noises.Noise | None = None) -> Model:
         """The model with one more column (power for a coefficient of 1, averaged, shape (n,)) and noise of its own.
 
         The fit begins at usual noise, or at that of a like law: where the null took the law for noise, and its rows for
@@ -97,7 +87,7 @@ class Ground:
         guess = start if start is not None or other is None else self.plain(other)
         return _refitted(self.model, design, chosen, guess, thorough=start is None)
 
-    def at_noise(self, design: Design, noise: Noise) -> Model:
+    def at_noise(self, design: Design, noise: noises.Noise) -> Model:
         """An extended design as a model at a noise that was not fitted with it."""
         return Model(self.model.source, tuple(range(len(design.phi))), self.model.clock, design, noise)
 
@@ -143,14 +133,14 @@ class Ground:
 
 
 def _refitted(
-    model: Model, design: Design, chosen: tuple[int, ...], guess: Noise | None, thorough: bool = False
+    model: Model, design: Design, chosen: tuple[int, ...], guess: noises.Noise | None, thorough: bool = False
 ) -> Model:
     """The model with other columns and noise of its own, which stays bounded where the base is far from right."""
     if model.squares is None:
         noise = fit_noise(design, chosen, guess, thorough=thorough)
         return replace(model, chosen=chosen, design=design, noise=noise)
     squares = model.squares if design is model.design else LeastSquares.of(design)
-    noise = bounded_noise(design, squares, chosen)
+    noise = noises.bounded_noise(design, squares, chosen)
     return replace(model, chosen=chosen, design=design, noise=noise, squares=squares)
 
 
@@ -175,7 +165,9 @@ def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground
 class Sieve:
     """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
 
-    def __init__(self, ground: Ground, noise: Noise, group: Sequence[int] | NDArray[np.intp], every: int) -> None:
+    def __init__(
+        self, ground: Ground, noise: noises.Noise, group: Sequence[int] | NDArray[np.intp], every: int
+    ) -> None:
         design = ground.design
         q, chosen = len(design.gradient), list(ground.chosen)
         self.every, self.starts = every, np.asarray(group)
@@ -189,15 +181,15 @@ class Sieve:
         level = np.add.reduceat(noise.scale, self.starts) / self.counts
         self.root = np.sqrt(weight).astype(np.float32)
         # means of several rows scatter less, as far as the noise is white or fast
-        self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
+        self.unscale = (noises.arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
         # factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit
         # in each of `BLOCK` + 1 rows, and to one in the two rows and two innovations before them, the older first
-        inverse, diagonal, _ = start_factor(*self.shape)
-        matrix = block_filter(self.shape, BLOCK + 1)[:, : BLOCK + 1]
-        answer, ratio = matrix[: BLOCK + 1], arma_of(*self.shape)[2]
+        inverse, diagonal, _ = noises.start_factor(*self.shape)
+        matrix = noises.block_filter(self.shape, BLOCK + 1)[:, : BLOCK + 1]
+        answer, ratio = matrix[: BLOCK + 1], noises.arma_of(*self.shape)[2]
         past = np.eye(4)
-        echo = states_after(self.shape, past[:, :2], past[:, 2:]) @ matrix[BLOCK + 1 :]
+        echo = noises.states_after(self.shape, past[:, :2], past[:, 2:]) @ matrix[BLOCK + 1 :]
         self.filter = tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
         known = self.coarse(rows)
         self.known: Array = np.empty(known.shape)
@@ -237,7 +229,7 @@ class Sieve:
         rows *= self.unscale[part]
         out = np.empty_like(rows)
         length = rows.shape[1]
-        end = min(START_ROWS, length)
+        end = min(noises.START_ROWS, length)
         head = rows[:, :end] @ inverse[:end, :end].T
         np.divide(head, ratio, out=out[:, :end])
         last = head[:, -2:] * diagonal[-2:]

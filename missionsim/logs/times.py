@@ -12,22 +12,7 @@ from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
-from missionsim.logs.clocks import (
-    FEW_BAD,
-    HOURS_MINUTES,
-    as_days,
-    clock_changes,
-    hours_on,
-    in_zone,
-    is_minutes,
-    minutes_and_seconds,
-    mostly_zoned,
-    pair_in_doubt,
-    refuse_from_nought,
-    seconds_of,
-    split_offset,
-    written_out,
-)
+from missionsim.logs import clocks
 from missionsim.logs.clocks import TimeError as TimeError
 from missionsim.logs.raw import RawTable, Remark
 from missionsim.numerals import counted
@@ -81,7 +66,7 @@ class Stamps:
 def is_stamp(text: str) -> bool:
     """Whether a text is written like a time stamp, a date or a time of day."""
     text = _in_numbers(text.strip())
-    return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED)) or is_minutes(text)
+    return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED)) or clocks.is_minutes(text)
 
 
 def date_and_clock(text: str) -> tuple[bool, bool]:
@@ -92,7 +77,7 @@ def date_and_clock(text: str) -> tuple[bool, bool]:
 
 def _in_numbers(text: str) -> str:
     """A date with the month's name, ``14.03.25`` or ``20250314_092133`` as ISO 8601; any other text as it is."""
-    text = _COMPACT.sub(r"\1-\2-\3 \4:\5:", written_out(text))
+    text = _COMPACT.sub(r"\1-\2-\3 \4:\5:", clocks.written_out(text))
     text = re.sub(r"\A(\d{1,2}/\d{1,2}/)(\d{2})(?=[,T ]|\Z)", r"\g<1>20\2", text)
     if re.search(r":\d{2}:\d{3}\Z", text):
         text = f"{text[:-4]}.{text[-3:]}"
@@ -128,7 +113,7 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
         parts = [np.asarray(parts[0]) + 1e-9 * np.asarray(parts[1])]
     found = [numbers_as_times(part) if not isinstance(part, Labels) else _texts(part, zone) for part in parts]
     whole = found[0]
-    if whole.form == HOURS_MINUTES and len(parts) == 1:
+    if whole.form == clocks.HOURS_MINUTES and len(parts) == 1:
         _told_apart(whole, parts[0], name)
     if local and whole.kind == "utc":
         whole = Stamps(whole.seconds, "local", "ISO 8601 without a zone")
@@ -146,9 +131,9 @@ def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = N
         message = f"the time of day passes midnight {int(back.sum())} times"
         whole.remarks.append(Remark("clock", name, message, "a day was added each time", "note"))
     elif whole.kind == "local" and zone is not None:
-        whole, values = Stamps(whole.seconds, "utc", f"{whole.form}, {zone}"), in_zone(values, zone)
+        whole, values = Stamps(whole.seconds, "utc", f"{whole.form}, {zone}"), clocks.in_zone(values, zone)
     elif whole.kind == "local":
-        values = clock_changes(values, name, whole.remarks)
+        values = clocks.clock_changes(values, name, whole.remarks)
     if whole.kind != "own":
         whole.seconds = whole.seconds.copy()
         whole.seconds[known] = values
@@ -176,7 +161,7 @@ def is_fine(whole: Array | Labels, nano: Array | Labels) -> bool:
 def _told_apart(whole: Stamps, texts: Array | Labels, name: str) -> None:
     """Doubt texts such as ``12:34`` without a date. Raises TimeError: they may be read in both ways."""
     if isinstance(texts, Labels):
-        refuse_from_nought(texts.names[0].strip())
+        clocks.refuse_from_nought(texts.names[0].strip())
     told = "each time is two numbers with a colon between: minutes and seconds?"
     whole.remarks.append(Remark("clock", name, told, "read as hours and minutes", "warning"))
 
@@ -288,7 +273,7 @@ def numbers_as_times(values: Array) -> Stamps:
         if _FIRST_S < middle * 1e-7 - zero_s < _LAST_S:
             return Stamps(values * 1e-7 - zero_s, "utc", f"tenths of a microsecond since {told}")
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    if (days := as_days(values, usual)) is not None:
+    if (days := clocks.as_days(values, usual)) is not None:
         return Stamps(*days)
     found = next(((factor, unit) for limit, factor, unit in _EPOCHS if middle > limit), None)
     if found is None or (usual > _SLOWEST_S * found[0] and float(np.ptp(known)) > _YEAR_S * found[0]):
@@ -320,21 +305,21 @@ def _texts(labels: Labels, zone: str | None) -> Stamps:
     """Times of texts, each distinct text read once."""
     import pandas as pd
 
-    odd, given = "", [written_out(text.strip(), drop=zone is not None) for text in labels.names]
+    odd, given = "", [clocks.written_out(text.strip(), drop=zone is not None) for text in labels.names]
     texts = pd.Series([_in_numbers(text) for text in given], dtype="object")
     sample = next(iter(texts), "")
-    if (minutes := minutes_and_seconds(given)) is not None:
-        seconds, hours = hours_on(np.r_[minutes, np.nan][labels.codes])
+    if (minutes := clocks.minutes_and_seconds(given)) is not None:
+        seconds, hours = clocks.hours_on(np.r_[minutes, np.nan][labels.codes])
         told = Remark("clock", "time_s", "recognised as minutes and seconds", "read as seconds", "note")
         if hours:
             message = f"{told.message} that begin anew {counted(hours, 'time')}"
             told = replace(told, message=message, action="an hour was added each time")
         return Stamps(seconds, "own", "minutes and seconds", [told])
     if _DAY.match(sample):
-        kind, form = "day", HOURS_MINUTES if pair_in_doubt(given) else "a time of day"
+        kind, form = "day", clocks.HOURS_MINUTES if clocks.pair_in_doubt(given) else "a time of day"
         if texts.str.contains("[AP]M", case=False, regex=True).any():
             dates = pd.to_datetime("2000-01-01 " + texts, format="mixed", errors="coerce", utc=True)
-            values = seconds_of(dates) - 946684800.0
+            values = clocks.seconds_of(dates) - 946684800.0
         else:
             full = texts.str.replace(",", ".").where(texts.str.count(":") > 1, texts + ":00")
             values = np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
@@ -343,15 +328,15 @@ def _texts(labels: Labels, zone: str | None) -> Stamps:
         plain = texts.str.replace(",", ".").str.replace("/", "-").str.replace("_", " ")
         plain = plain.str.replace(r"(?<=\d)\s*(UTC|GMT)$", "Z", regex=True)
         plain = plain.str.replace(r"^(\d{4})\.(\d{2})\.(\d{2})", r"\1-\2-\3", regex=True)
-        values = seconds_of(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
-        zoned, odd = mostly_zoned(ends, values, labels)
+        values = clocks.seconds_of(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
+        zoned, odd = clocks.mostly_zoned(ends, values, labels)
         kind = "utc" if zoned else "local" if re.search(r"\d[T _]+\d", sample, re.IGNORECASE) else "date"
         form = {"utc": "ISO 8601 with a zone", "local": "ISO 8601 without a zone", "date": "a date"}[kind]
     elif _DATED.match(sample):
         kind, form, values, odd = _dated(texts, labels)
     else:
         raise TimeError(f"'{next(iter(labels.names), '')[:40]}' is {NO_TIME}")
-    if len(values) and np.isnan(values).mean() > FEW_BAD:
+    if len(values) and np.isnan(values).mean() > clocks.FEW_BAD:
         bad = texts[int(np.argmax(np.isnan(values)))]
         raise TimeError(f"'{bad[:40]}' is {NO_TIME}")
     remarks = [Remark("clock", "time_s", odd, "such stamps count as none")] if odd else []
@@ -363,7 +348,7 @@ def _dated(texts: Iterable[str], labels: Labels) -> tuple[str, str, Array, str]:
     of offsets."""
     import pandas as pd
 
-    parts = [split_offset(text) for text in texts]
+    parts = [clocks.split_offset(text) for text in texts]
     series = pd.Series([text for text, _ in parts], dtype="object").str.replace(
         r"^(\d{1,2})[-/.](\d{1,2})[-/.]", r"\1/\2/", regex=True
     )
@@ -376,12 +361,12 @@ def _dated(texts: Iterable[str], labels: Labels) -> tuple[str, str, Array, str]:
         series = series.where(series.str.contains(".", regex=False), series + ".0")
     readings = []
     for form, words in (("%d/%m/%Y", "day first"), ("%m/%d/%Y", "month first")):
-        values = seconds_of(pd.to_datetime(series, format=form + tail, errors="coerce"))
+        values = clocks.seconds_of(pd.to_datetime(series, format=form + tail, errors="coerce"))
         known = values[np.isfinite(values)]
         readings.append((float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values))
     _, _, words, values = min(readings, key=lambda reading: reading[:2])
     ends = np.array([offset is not None for _, offset in parts])
-    zoned, odd = mostly_zoned(ends, values, labels)
+    zoned, odd = clocks.mostly_zoned(ends, values, labels)
     if zoned:
         offsets = np.array([offset or 0.0 for _, offset in parts])
         return "utc", f"a date, {words}, and time with a zone", values - offsets, odd

@@ -10,21 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from missionsim.inputs import segments as kinds
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.power import build_power_model
-from missionsim.inputs.segments import (
-    ArcSegment,
-    DockSegment,
-    DriveSegment,
-    InspectSegment,
-    MoveSegment,
-    RepeatSegment,
-    SegmentSpec,
-    TurnSegment,
-    WaitSegment,
-    fastest,
-)
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
 from missionsim.plan.kinematics import group
@@ -80,7 +69,7 @@ def plan_runs(mission: MissionSpec, numbers: Mapping[str, Array]) -> Plan:
 
 
 def legs_of(
-    mission: MissionSpec, segments: Iterable[tuple[str, SegmentSpec]], numbers: Mapping[str, float] | None = None
+    mission: MissionSpec, segments: Iterable[tuple[str, kinds.SegmentSpec]], numbers: Mapping[str, float] | None = None
 ) -> Iterator[list[Leg]]:
     """The legs of single segments of a mission, each begun at a place of its own.
 
@@ -118,7 +107,7 @@ class _Builder(Asked):
         self._names: dict[str, int] = {}
         self._routes: list[Route] = []
         self._made: dict[
-            tuple[int, str, float | None], tuple[SegmentSpec, list[Leg], str, float | None, list[Route]]
+            tuple[int, str, float | None], tuple[kinds.SegmentSpec, list[Leg], str, float | None, list[Route]]
         ] = {}
         self._on_way: dict[tuple[int, int, str], Settings] = {}
         self._costs: dict[int, dict[tuple[int, str], float]] = {}
@@ -154,8 +143,8 @@ class _Builder(Asked):
             odd=self.odd.runs,
         )
 
-    def _segment(self, segment: SegmentSpec | RepeatSegment) -> None:
-        if isinstance(segment, RepeatSegment):
+    def _segment(self, segment: kinds.SegmentSpec | kinds.RepeatSegment) -> None:
+        if isinstance(segment, kinds.RepeatSegment):
             if segment.until is not None:
                 return self._until(segment, segment.until)
             for inner in itertools.chain.from_iterable(itertools.repeat(segment.segments, segment.least)):
@@ -164,7 +153,7 @@ class _Builder(Asked):
         if len(self.segments) >= MOST_SEGMENTS:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
         label = segment.kind if segment.name is None else segment.name
-        if segment.name is None and isinstance(segment, DriveSegment) and segment.distance is None:
+        if segment.name is None and isinstance(segment, kinds.DriveSegment) and segment.distance is None:
             label = f"drive {segment.to or (segment.along or ('',))[-1]}"
         count = self._names[label] = self._names.get(label, 0) + 1
         name = label if count == 1 else f"{label} #{count}"
@@ -181,7 +170,7 @@ class _Builder(Asked):
                 self._made[where] = segment, legs, self.place, self.heading, self._routes[routes:]
         self.legs[before:] = [leg._replace(segment=index) for leg in legs]
 
-    def _legs(self, segment: SegmentSpec, before: int) -> list[Leg]:
+    def _legs(self, segment: kinds.SegmentSpec, before: int) -> list[Leg]:
         """The legs of a segment, those from the builder's number `before` on."""
         base = self.settings(segment)
         self.scheme = base.scheme
@@ -207,7 +196,7 @@ class _Builder(Asked):
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
         return self.legs[before:]
 
-    def _until(self, segment: RepeatSegment, time: Parameter) -> None:
+    def _until(self, segment: kinds.RepeatSegment, time: Parameter) -> None:
         """Rounds as many as could end by a time if there were nothing but what is planned of them."""
         block, self._blocks = self._blocks, self._blocks + 1
         until = self.number(time)
@@ -217,7 +206,7 @@ class _Builder(Asked):
             before, segments = len(self.legs), len(self.segments)
             names, routes = dict(self._names), len(self._routes)
             for inner in segment.segments:
-                if isinstance(inner, RepeatSegment) and inner.until is not None:
+                if isinstance(inner, kinds.RepeatSegment) and inner.until is not None:
                     raise self.fault(segment, "a block until a time inside another one", "times: 5 for the inner one")
                 self._segment(inner)
             took = sum(p.duration_s for step in group(self.legs[before:], self.limits) for p in step.phases)
@@ -239,7 +228,7 @@ class _Builder(Asked):
             self.legs[before] = self.legs[before]._replace(gate=gate._replace(first=True))
             done += 1
 
-    def _drive(self, segment: DriveSegment, base: Settings) -> None:
+    def _drive(self, segment: kinds.DriveSegment, base: Settings) -> None:
         if segment.distance is not None:
             self._face(segment, base, self.maybe(segment.heading))
             self._ahead("roll", segment, base, self.number(segment.distance), self.pace(segment))
@@ -265,7 +254,7 @@ class _Builder(Asked):
                 self._way(segment, base, way)
             self.place = stop
 
-    def _cost(self, segment: SegmentSpec, base: Settings, least_of: str) -> Callable[[Way], float]:
+    def _cost(self, segment: kinds.SegmentSpec, base: Settings, least_of: str) -> Callable[[Way], float]:
         """Seconds, or Wh of all batteries, of each way at steady speed, by the files' values whatever is drawn."""
         key = id(segment)
         if key not in self._costs:
@@ -294,7 +283,7 @@ class _Builder(Asked):
         table = self._costs[key]
         return lambda way: table[way.edge, way.begin]
 
-    def _way(self, segment: SegmentSpec, base: Settings, way: Way) -> None:
+    def _way(self, segment: kinds.SegmentSpec, base: Settings, way: Way) -> None:
         self._face(segment, base, way.heading_rad)
         pace = self.pace(segment, way.max_speed_m_s)
         key = id(base), way.edge, way.begin
@@ -316,13 +305,15 @@ class _Builder(Asked):
             self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge, beside=beside)
         self.legs[-1] = self.legs[-1]._replace(place=way.end)
 
-    def _ahead(self, kind: Kind, segment: SegmentSpec, base: Settings, metres: float, pace: Pace, **more: Any) -> None:
+    def _ahead(
+        self, kind: Kind, segment: kinds.SegmentSpec, base: Settings, metres: float, pace: Pace, **more: Any
+    ) -> None:
         """A leg that is driven, as much longer as the behaviour says."""
         metres = metres * self.behaviour(segment, "path_stretch", 1.0)
         instant = self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
         self.legs.append(Leg(kind, base, metres, pace.speed, instant=instant, pace=pace, **more))
 
-    def _face(self, segment: SegmentSpec, base: Settings, heading: float | None) -> None:
+    def _face(self, segment: kinds.SegmentSpec, base: Settings, heading: float | None) -> None:
         """Turn on the spot towards a heading, where the mission asks for it and headings are known."""
         if heading is None:
             return
@@ -332,19 +323,19 @@ class _Builder(Asked):
                 self._turn_by(segment, base, turn)
         self.heading = heading
 
-    def _turn_by(self, segment: SegmentSpec, base: Settings, angle: float) -> None:
+    def _turn_by(self, segment: kinds.SegmentSpec, base: Settings, angle: float) -> None:
         rate = self.yaw_rate(segment)
         self.above_0(rate, segment, "a turn needs a yaw rate above 0")
         instant = self.mission.setting(segment, "profile") == "constant_speed"
         settings = base._replace(slope_rad=0.0)
         self.legs.append(Leg("turn", settings, angle_rad=angle, yaw_rate_rad_s=rate, instant=instant))
 
-    def _turn(self, segment: TurnSegment, base: Settings) -> None:
+    def _turn(self, segment: kinds.TurnSegment, base: Settings) -> None:
         angle = self.number(segment.angle)
         self._turn_by(segment, base, angle)
         self.heading = None if self.heading is None else self.heading + angle
 
-    def _arc(self, segment: ArcSegment, base: Settings) -> None:
+    def _arc(self, segment: kinds.ArcSegment, base: Settings) -> None:
         radius, angle = self.number(segment.radius), self.number(segment.angle)
         self.above_0(radius, segment, "an arc needs a radius above 0")
         pace = self.pace(segment, self.yaw_rate(segment) * radius)
@@ -352,17 +343,17 @@ class _Builder(Asked):
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
 
-    def _move(self, segment: MoveSegment, base: Settings) -> None:
+    def _move(self, segment: kinds.MoveSegment, base: Settings) -> None:
         direction = self.number(segment.direction)
         body, most = self.robot.body, math.inf
         if body.max_lateral_speed is not None:  # a speed that is not the segment's own is cut to it
             limits = self.number(body.max_speed, "robot."), self.number(body.max_lateral_speed, "robot.")
-            most = fastest(direction, *limits)
+            most = kinds.fastest(direction, *limits)
         pace = self.pace(segment, most)
         self._ahead("slide", segment, base, self.number(segment.distance), pace, direction_rad=direction)
         self.place = ""
 
-    def _inspect(self, segment: InspectSegment, base: Settings) -> None:
+    def _inspect(self, segment: kinds.InspectSegment, base: Settings) -> None:
         times = 1
         if segment.repeat_probability is not None and self.rng is not None:
             with self.told_at(segment.repeat_probability):
@@ -370,9 +361,9 @@ class _Builder(Asked):
             self.chance["inspections_repeated"] += times - 1
         self._wait(segment, base, times)
 
-    def _wait(self, segment: InspectSegment | WaitSegment, base: Settings, times: int = 1) -> None:
+    def _wait(self, segment: kinds.InspectSegment | kinds.WaitSegment, base: Settings, times: int = 1) -> None:
         duration_s = times * self.number(segment.duration)
         self.legs.append(Leg("stand", base, duration_s=duration_s, place=self.place))
 
-    def _dock(self, segment: DockSegment, base: Settings) -> None:
+    def _dock(self, segment: kinds.DockSegment, base: Settings) -> None:
         self.legs.append(Leg("dock", base, place=self.place, recharge=self.recharge(segment, self.place)))

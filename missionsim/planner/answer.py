@@ -110,11 +110,10 @@ class Answer:
     def summary(self) -> Json:
         """The plan as the JSON of the command line (schema ``missionsim.plan/1``)."""
         task = self.site.task
-        legs = [_leg_json(self, leg) for leg in self.legs]
+        physics = self.site.physics
         return {
             "schema": SCHEMA,
-            "task": task.name,
-            "robot": task.robot.name,
+            **fields_of(task, "task=name robot=robot.name"),
             "feasible": self.feasible,
             "order": self.order(),
             **fields_of(self, "objective value bound gap"),
@@ -124,12 +123,12 @@ class Answer:
                 name: {
                     "energy_wh": self.energy_wh.get(name),
                     "charge_left_wh": self.charge_left_wh.get(name),
-                    "capacity_wh": float(self.site.physics.capacity_wh[b]),
-                    "reserve_wh": float(self.site.physics.reserve_wh[b]),
+                    "capacity_wh": float(physics.capacity_wh[b]),
+                    "reserve_wh": float(physics.reserve_wh[b]),
                 }
-                for b, name in enumerate(self.site.physics.names)
+                for b, name in enumerate(physics.names)
             },
-            "legs": legs,
+            "legs": [_leg_json(self, leg) for leg in self.legs],
             **self.extra,
         }
 
@@ -233,26 +232,12 @@ def _vectors(chain: list[Label], tour: Tour) -> list[Array]:
 
 
 def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
-    made: dict[str, Any] = {
-        "kind": leg.kind,
-        "to": leg.place,
-        "duration_s": leg.duration_s,
-        "energy_wh": dict(leg.energy_wh),
-        "charge_wh": dict(leg.charge_wh),
-        "payload_kg": leg.payload_kg,
-    }
+    made = fields_of(leg, "kind to=place duration_s energy_wh charge_wh payload_kg")
     if leg.piece is not None:
         settings = leg.piece.legs[0].settings
-        made |= {
-            "from": leg.piece.way.begin,
-            "edge": leg.piece.name,
-            "edge_index": leg.piece.way.edge,
-            "distance_m": leg.piece.distance_m,
-            "speed_m_s": leg.piece.limit_m_s,
-            "scheme": settings.scheme or None,
-            "navigation": settings.navigation or None,
-            "sensors": dict(settings.sensors),
-        }
+        made |= fields_of(leg.piece, "from=way.begin edge=name edge_index=way.edge distance_m speed_m_s=limit_m_s")
+        made |= {"scheme": settings.scheme or None, "navigation": settings.navigation or None}
+        made["sensors"] = dict(settings.sensors)
     if leg.visit is not None:
         visit = answer.site.task.visits[leg.visit]
         made |= {"visit": visit.label, **equipment(leg.scheme or visit)}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault, InputError
-from missionsim.files import Json, write_text
+from missionsim.files import Json, fields_of, write_text
 from missionsim.inputs.loading import Override, load_robot, load_task, shipped_robots
 from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.physics import Array
@@ -182,10 +182,7 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
             low, high = (middle, high) if (short(middle) <= 0.0).all() else (low, middle)
         lacking = short(max(high, 1e-9)) if home else lacking
         return {
-            "edge": leg.piece.name,
-            "edge_index": leg.piece.way.edge,
-            "from": leg.piece.way.begin,
-            "to": leg.piece.way.end,
+            **fields_of(leg.piece, "edge=name edge_index=way.edge from=way.begin to=way.end"),
             "metres": low * leg.piece.way.length_m,
             "one_way": not home,
             "battery": physics.names[int(np.argmax(lacking))],
@@ -227,22 +224,16 @@ def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> Jso
         plan, physics = item.plan, item.plan.site.physics
         reserve = physics.by_name(physics.reserve_wh)
         places[item.place] = {
-            "reachable": item.reachable,
-            "sure": item.sure,
+            **fields_of(item, "reachable sure"),
             "holds": item.holds or None,
             "way": [task.start, *(leg.place for leg in plan.legs if leg.piece is not None)],
-            "duration_s": plan.duration_s,
-            "energy_wh": plan.energy_wh,
-            "charge_left_wh": item.left_wh,
+            **fields_of(item, "duration_s=plan.duration_s energy_wh=plan.energy_wh charge_left_wh=left_wh"),
             "margin_wh": {name: item.left_wh[name] - reserve[name] for name in reserve},
             "point_of_no_return": item.turn,
         }
     return {
         "schema": SCHEMA,
-        "environment": task.environment.name,
-        "robot": task.robot.name,
-        "from": task.start,
-        "to": task.goal,
+        **fields_of(task, "environment=environment.name robot=robot.name from=start to=goal"),
         "probability": probability,
         "places": places,
         "unreachable": sorted(set(task.environment.places) - set(places) - {task.start}),

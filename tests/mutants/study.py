@@ -203,8 +203,8 @@ MUTANTS = [
     *_of(
         "verdict",
         "identify/simpler.py",
-        ("LEVEL_SHARE or part < AS_MUCH", "LEVEL_SHARE or part < 2.0"),
-        ("abs(plain_ratio(source) - 1.0) > AT_LEVEL", "True"),
+        ("const.LEVEL_SHARE or part < const.AS_MUCH", "const.LEVEL_SHARE or part < 2.0"),
+        ("abs(plain_ratio(source) - 1.0) > const.AT_LEVEL", "True"),
     ),
 ]
 
