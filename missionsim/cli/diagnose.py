@@ -256,11 +256,9 @@ def add_effect(
     """
     search.check(logs)
     if (effect is None) == (formula is None):
-        raise InputError.single(
-            "add-effect needs either --effect or --formula",
-            got="both" if effect else "neither",
-            allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
-        )
+        message = "add-effect needs either --effect or --formula"
+        allowed = '--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"'
+        raise InputError.single(message, got="both" if effect else "neither", allowed=allowed)
     if effect is not None:
         check_name(load_robot(search.robot), effect)  # a name that is wrong for any log is told at once
     elif formula is not None and not formula.strip().isdigit():

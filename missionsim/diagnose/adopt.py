@@ -161,11 +161,8 @@ def adopt(
     check_name(robot, effect, split)
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
-            raise InputError.single(
-                f"the robot file already has '{effect}' on battery '{battery}'",
-                got=effect,
-                allowed="missionsim calibrate --robot refits it",
-            )
+            told = f"the robot file already has '{effect}' on battery '{battery}'"
+            raise InputError.single(told, got=effect, allowed="missionsim calibrate --robot refits it")
     if law is None:
         named = judged(seen := examine(subject, split, battery, settings))
         _check_testable(seen, effect)
@@ -269,11 +266,8 @@ def _check_testable(seen: Examined, effect: str) -> None:
     """Refuse an effect that these logs cannot test."""
     features = seen.features
     if effect in features.untestable:
-        raise InputError.single(
-            f"these logs cannot test '{effect}'",
-            got=effect,
-            allowed="logs with " + ", ".join(features.untestable[effect]),
-        )
+        told = f"these logs cannot test '{effect}'"
+        raise InputError.single(told, got=effect, allowed="logs with " + ", ".join(features.untestable[effect]))
     known = [candidate.effect for candidate in features.candidates]
     if effect not in known:
         raise InputError.unknown(f"'{effect}' is not an effect that these logs can test", effect, known)

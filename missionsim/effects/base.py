@@ -170,10 +170,8 @@ def _loaded() -> tuple[Any, ...]:
         except Exception as error:
             raise InputError.single(f"effect plug-in '{point.name}' does not load", got=repr(error)) from error
         if not (isinstance(getattr(one, "id", None), str) and hasattr(one, "equation")):
-            raise InputError.single(
-                f"effect plug-in '{point.name}' gives no Effect",
-                got=type(one).__name__,
-                allowed="an Effect, a MotionModel or a LawModel of missionsim.effects, or a callable that returns one",
-            )
+            told = f"effect plug-in '{point.name}' gives no Effect"
+            allowed = "an Effect, a MotionModel or a LawModel of missionsim.effects, or a callable that returns one"
+            raise InputError.single(told, got=type(one).__name__, allowed=allowed)
         found.append(one)
     return tuple(found)

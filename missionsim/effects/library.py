@@ -276,11 +276,9 @@ def get_effect(id: str, surfaces: tuple[str, ...] = (), battery: str = "<battery
     if id in others:
         return others[id]
     ids = effect_ids()
+    told = f"unknown effect '{id}'"
     raise InputError.single(
-        f"unknown effect '{id}'",
-        got=id,
-        allowed=", ".join(ids),
-        hint=did_you_mean(family, [i.partition(":")[0] for i in ids]),
+        told, got=id, allowed=", ".join(ids), hint=did_you_mean(family, [i.partition(":")[0] for i in ids])
     )
 
 

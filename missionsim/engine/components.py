@@ -207,14 +207,12 @@ class Activities:
 
 
 def _too_many(activity: Activity, seconds: float) -> InputError:
-    return InputError(
-        activity.place.fault(
-            f"the activity of '{activity.component}' every {activity.every_s:g} s has too many bursts in a mission of "
-            f"{seconds:.4g} s and more",
-            got=f"more than {MOST_BURSTS} bursts in all",
-            allowed="a longer period, or a shorter mission (a slow speed, a long way or wait?)",
-        )
+    told = (
+        f"the activity of '{activity.component}' every {activity.every_s:g} s has too many bursts in a mission of "
+        f"{seconds:.4g} s and more"
     )
+    allowed = "a longer period, or a shorter mission (a slow speed, a long way or wait?)"
+    return InputError(activity.place.fault(told, got=f"more than {MOST_BURSTS} bursts in all", allowed=allowed))
 
 
 def _key(trigger: Trigger, edge: str) -> tuple[str, str]:

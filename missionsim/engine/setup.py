@@ -180,14 +180,12 @@ def doubts(
             negative = negative & (np.sum(list(parts), axis=0) < 0.0) & ~back
         if (given := -float(joules[negative].sum())) <= TOLERANCE * scale:
             continue
-        found.append(
-            term.effect.place.warning(
-                f"the power of '{term.key.name}' is negative: it charges battery '{term.key.battery}' with "
-                f"{rounded(given / J_PER_WH, 4)} Wh in {_named(line.segment[negative], segments)}; is the sign right?",
-                got=term.effect.equation,
-                allowed="power that is drawn is positive",
-            )
+        told = (
+            f"the power of '{term.key.name}' is negative: it charges battery '{term.key.battery}' with "
+            f"{rounded(given / J_PER_WH, 4)} Wh in {_named(line.segment[negative], segments)}; is the sign right?"
         )
+        allowed = "power that is drawn is positive"
+        found.append(term.effect.place.warning(told, got=term.effect.equation, allowed=allowed))
     for name, battery in batteries.items():
         full = battery.capacity_j / J_PER_WH
         beyond = charge_wh[name] > full * (1.0 + TOLERANCE)
@@ -234,14 +232,11 @@ def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo], 
         measured = f"{low * one.factor:.3g} to {high * one.factor:.3g} {one.unit}".strip()
         there = f"{values[worst] * one.factor:.3g} {one.unit}".strip()
         worst_in = int(line.segment[worst])
-        found.append(
-            Place(file, segments[worst_in].line).warning(
-                f"{one.title} {there} in {_named(line.segment[over > room], segments, worst_in)}: the logs that this "
-                f"robot was fitted to have {measured}",
-                got=there,
-                allowed=measured,
-            )
+        message = (
+            f"{one.title} {there} in {_named(line.segment[over > room], segments, worst_in)}: the logs that this "
+            f"robot was fitted to have {measured}"
         )
+        found.append(Place(file, segments[worst_in].line).warning(message, got=there, allowed=measured))
     return found
 
 

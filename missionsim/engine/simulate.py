@@ -183,11 +183,8 @@ class RunSetup:
             if alarm.kind == "empty" or (self.goes_on and world.reason):
                 return whole, world, alarms
         if self.goes_on:
-            raise InputError.single(
-                f"the mission goes to recharge more than {most} times",
-                file=str(self.mission.path),
-                allowed="a larger battery, a shorter mission",
-            )
+            told = f"the mission goes to recharge more than {most} times"
+            raise InputError.single(told, file=str(self.mission.path), allowed="a larger battery, a shorter mission")
         return whole, world, alarms
 
     def execute(self, alarms: Sequence[Alarm]) -> Evaluating[World]:

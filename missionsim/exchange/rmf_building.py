@@ -227,10 +227,8 @@ def _measured(level: _Level, site: Site) -> float | None:
     found = level.pixels
     if found:
         if max(found) > 1.05 * min(found):
-            site.tell(
-                f"measurements disagree: {min(found):.5g} to {max(found):.5g} m per pixel; their mean holds",
-                level.value.line,
-            )
+            told = f"measurements disagree: {min(found):.5g} to {max(found):.5g} m per pixel; their mean holds"
+            site.tell(told, level.value.line)
         return sum(found) / len(found)
     if site.options.scale is not None:
         return site.options.scale

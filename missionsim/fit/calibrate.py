@@ -200,12 +200,9 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
         if not standing:
             remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")
     if still and parameters:
-        raise InputError.single(
-            "the robot stands still in every row, so that these logs say nothing of the power while it moves",
-            file="--base",
-            got=robot.base,
-            allowed="0, which fits the power at rest alone; or logs in which it moves",
-        )
+        message = "the robot stands still in every row, so that these logs say nothing of the power while it moves"
+        allowed = "0, which fits the power at rest alone; or logs in which it moves"
+        raise InputError.single(message, file="--base", got=robot.base, allowed=allowed)
     if not (still or parameters):
         raise InputError.single(
             "--base has no parameter that could be fitted", got=robot.base, allowed="names of your own: 'c3*v + c4'"

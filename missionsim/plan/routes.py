@@ -151,11 +151,9 @@ class Routes:
         """The edge that a drive `along` names, by its other end or its own name; a fault where none leaves `here`."""
         found = self.environment.next_along(here, name)
         if found is None:
+            told = f"no edge from '{here}' to '{name}'"
             raise InputError.single(
-                f"no edge from '{here}' to '{name}'",
-                file=where,
-                got=name,
-                allowed=", ".join(dict.fromkeys(way.end for way in self.ways.get(here, ()))),
+                told, file=where, got=name, allowed=", ".join(dict.fromkeys(way.end for way in self.ways.get(here, ())))
             )
         return next(way for way in self.ways[here] if way.edge == found[0])
 

@@ -159,11 +159,9 @@ class Drives:
                         states = nx.find_negative_cycle(net, source)
                         places = list(dict.fromkeys(road.states[state].place for state in states))
                         break
-                raise InputError.single(
-                    "driving in a circle would charge a battery: the slopes of its edges do not close",
-                    got=", ".join(places),
-                    allowed="slopes by which a way round comes back to the height where it began",
-                ) from None
+                told = "driving in a circle would charge a battery: the slopes of its edges do not close"
+                allowed = "slopes by which a way round comes back to the height where it began"
+                raise InputError.single(told, got=", ".join(places), allowed=allowed) from None
         return made
 
     @cached_property

@@ -294,11 +294,9 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
         np.add.at(use[:, 1 + b], owner, energy[:, b])
     if not np.isfinite(use).all():
         bad = driven[int(np.flatnonzero(~np.isfinite(use).all(axis=1))[0])]
-        raise InputError.single(
-            f"the power on edge '{bad.name}' from '{bad.way.begin}' is not a number",
-            file=str(physics.task.path),
-            allowed="every covariate that the robot's effects read, in defaults or on the edge",
-        )
+        told = f"the power on edge '{bad.name}' from '{bad.way.begin}' is not a number"
+        allowed = "every covariate that the robot's effects read, in defaults or on the edge"
+        raise InputError.single(told, file=str(physics.task.path), allowed=allowed)
     turn = np.argsort(owner, kind="stable")  # the phases of each piece one after the other
     begins = np.flatnonzero(np.diff(owner[turn], prepend=-1))
     drawn = np.cumsum(energy[turn], axis=0)

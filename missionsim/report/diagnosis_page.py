@@ -27,12 +27,8 @@ MOST_ALIKE = 14
 def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", asked: Asked | None = None) -> str:
     """The page as HTML. `footer`: how it was made (version, command)."""
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
-    return web.page(
-        f"{diagnosis.robot}: which effect is missing",
-        diagnosis_sections(diagnosis, asked),
-        subtitle=f"{counted(runs, 'run')} fitted",
-        footer=footer,
-    )
+    told, subtitle = f"{diagnosis.robot}: which effect is missing", f"{counted(runs, 'run')} fitted"
+    return web.page(told, diagnosis_sections(diagnosis, asked), subtitle=subtitle, footer=footer)
 
 
 def diagnosis_sections(diagnosis: Diagnosis, asked: Asked | None = None) -> list[web.Section]:

@@ -319,11 +319,8 @@ def _with_margin(row: Mapping[str, Any]) -> float:
 def refuse_correlated(prepared: Prepared) -> None:
     """Say that correlated values have no Sobol indices."""
     if prepared.sampler.groups:
-        raise InputError.single(
-            "Sobol indices are not defined for correlated values",
-            got="correlations in the mission",
-            allowed="--sobol without correlations, or the rank correlations alone",
-        )
+        told, got = "Sobol indices are not defined for correlated values", "correlations in the mission"
+        raise InputError.single(told, got=got, allowed="--sobol without correlations, or the rank correlations alone")
 
 
 def affordable_samples(prepared: Prepared, seed: int) -> int:

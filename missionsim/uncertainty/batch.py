@@ -255,11 +255,9 @@ def _finished(
         except (OSError, CancelledError) as error:
             if isinstance(error, OSError) and error.filename is not None:
                 raise
-            raise InputError.single(
-                "the Dask scheduler was lost",
-                got=" ".join(str(error).split())[:100],
-                allowed="with --out, finished blocks are kept: --resume and a scheduler that runs",
-            ) from error
+            told = "the Dask scheduler was lost"
+            allowed = "with --out, finished blocks are kept: --resume and a scheduler that runs"
+            raise InputError.single(told, got=" ".join(str(error).split())[:100], allowed=allowed) from error
         return
     taken = lost = 0
     while taken < len(blocks):

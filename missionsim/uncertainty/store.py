@@ -96,11 +96,9 @@ class BlockStore:
             try:
                 table = self._read(first, names)
             except (OSError, ValueError) as error:
+                told, allowed = "this block of runs is damaged", "--resume computes it again"
                 raise InputError.single(
-                    "this block of runs is damaged",
-                    file=str(self.path(first)),
-                    got=str(error).splitlines()[0],
-                    allowed="--resume computes it again",
+                    told, file=str(self.path(first)), got=str(error).splitlines()[0], allowed=allowed
                 ) from error
             found: dict[str, NDArray[np.generic]] = {}
             for name in names:
@@ -139,11 +137,9 @@ class BlockStore:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                raise InputError.single(
-                    "another process is writing a batch into this folder",
-                    file=str(self.folder),
-                    allowed="another --out, or to wait for it",
-                ) from None
+                told = "another process is writing a batch into this folder"
+                allowed = "another --out, or to wait for it"
+                raise InputError.single(told, file=str(self.folder), allowed=allowed) from None
             try:
                 yield
             finally:
