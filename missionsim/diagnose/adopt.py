@@ -95,12 +95,9 @@ def check_name(robot: RobotSpec, effect: str, split: Split | None = None) -> Non
         logged = {name.removeprefix("on_") for run in runs for name in run.columns if is_switch(name)}
         known = [*robot.components, *sorted(logged - robot.components.keys())]
     if colon and family.startswith("component_") and known is not None and component not in known:
-        raise InputError.single(
-            f"the robot has no component '{component}'",
-            got=effect,
-            allowed=", ".join(f"{family}:{name}" for name in known) or "a component in the robot file first",
-            hint=f"{family}:{near}" if (near := did_you_mean(component, known)) else "",
-        )
+        allowed = ", ".join(f"{family}:{name}" for name in known) or "a component in the robot file first"
+        hint = f"{family}:{near}" if (near := did_you_mean(component, known)) else ""
+        raise InputError.single(f"the robot has no component '{component}'", got=effect, allowed=allowed, hint=hint)
     if get_effect(effect, ("",)).execution:
         raise InputError.single(
             f"'{effect}' is how the robot drives, not what it draws: write it under 'behaviour' of the mission or of a "

@@ -136,11 +136,8 @@ def formula_of(proposed: Sequence[Proposal], asked: str) -> str:
     forms = [law for one in proposed for law in one.laws]
     number = int(asked)
     if not 1 <= number <= len(forms):
-        raise InputError.single(
-            "these logs propose no such form",
-            got=asked,
-            allowed=", ".join(f"{i}: {law.formula}" for i, law in enumerate(forms, 1)) or "none: nothing is proposed",
-        )
+        allowed = ", ".join(f"{i}: {law.formula}" for i, law in enumerate(forms, 1)) or "none: nothing is proposed"
+        raise InputError.single("these logs propose no such form", got=asked, allowed=allowed)
     return forms[number - 1].formula
 
 

@@ -189,15 +189,13 @@ class PowerModel:
             own = [*(spec.name for spec in effect.parameters), *told]
             for name in effect.needs:
                 if name not in cov:
-                    faults.append(
-                        effect.place.fault(
-                            f"'{term.key.name}' reads '{name}', which is not known here",
-                            got=effect.equation,
-                            allowed="its parameters, columns of the log, or what the mission gives: "
-                            f"conditions: {{{name}: …}} in its defaults or a segment; here: {columns}",
-                            hint=did_you_mean(name, own),
-                        )
+                    message = f"'{term.key.name}' reads '{name}', which is not known here"
+                    allowed = (
+                        "its parameters, columns of the log, or what the mission gives: "
+                        f"conditions: {{{name}: …}} in its defaults or a segment; here: {columns}"
                     )
+                    hint = did_you_mean(name, own)
+                    faults.append(effect.place.fault(message, got=effect.equation, allowed=allowed, hint=hint))
         return faults
 
     def evaluate(

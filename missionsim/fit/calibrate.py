@@ -172,11 +172,9 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
         derived = wanted in ("accel_m_s2", "mass_kg")
         known = name in ALIASES or column_of(name) is not None
         if known and not derived and wanted not in shared:
+            others, hint = ", ".join(sorted(columns)), did_you_mean(wanted, columns)
             raise InputError.single(
-                f"--base reads '{name}' ({wanted}), which not every log has",
-                got=name,
-                allowed=", ".join(sorted(columns)),
-                hint=did_you_mean(wanted, columns),
+                f"--base reads '{name}' ({wanted}), which not every log has", got=name, allowed=others, hint=hint
             )
     for name in sorted(formula.names):
         # turns (or ways) to one side may give other power by the formula than those to the other

@@ -189,13 +189,10 @@ class Source:
         base, motion, switching, spread = here[:HEAD_ROWS]
         slope, bend = self._derivatives(base, clock) if timed else np.zeros((2, len(base)))
         scale = np.array([self.layout.unit(k) for k in chosen])
-        return replace(
-            self._frame,
-            base=base,
-            gradient=np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
-            phi=here[HEAD_ROWS + q :] * scale[:, None],
-            random=np.vstack([np.ones_like(base), base, motion, slope, bend]),
-        )
+        gradient = np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching])
+        phi = here[HEAD_ROWS + q :] * scale[:, None]
+        random = np.vstack([np.ones_like(base), base, motion, slope, bend])
+        return replace(self._frame, base=base, gradient=gradient, phi=phi, random=random)
 
     @cached_property
     def _frame(self) -> Design:

@@ -65,12 +65,8 @@ def _refit(choice: Choice, column: int, candidate: Candidate, limited: bool) -> 
     x0 = np.clip(inner([start[n] for n in names]), low, high)
     step = 0.25 * (high - low)
     simplex = np.vstack([x0] + [np.clip(x0 + np.where(x0 + s > high, -s, s), low, high) for s in np.diag(step)])
-    found = minimize(
-        cost,
-        x0,
-        method="Nelder-Mead",
-        options={"maxfev": SHAPE_EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
-    )
+    options = {"maxfev": SHAPE_EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05}
+    found = minimize(cost, x0, method="Nelder-Mead", options=options)
     best = outer(found.x)
     source = _replaced(model.source, column, candidate, best)
     design = source.design(model.clock)

@@ -299,13 +299,8 @@ def best_prices(tour: Tour, *, charging: bool = True) -> Prices:
             zeros = [0.0] * (len(left) - count + 1)
             sold = np.array([[-1.0, *(np.maximum(c.gain_w, 0.0) / 3600.0), *zeros] for c in chargers])
             lines, sides = np.concatenate([lines, sold]), np.concatenate([sides, [c.rate for c in chargers]])
-        answer = linprog(
-            np.array([0.0] * len(left) + [-1.0]),
-            A_ub=lines,
-            b_ub=sides,
-            bounds=[*((0.0, high) for high in highest), (None, None)],
-            method="highs",
-        )
+        bounds = [*((0.0, high) for high in highest), (None, None)]
+        answer = linprog(np.array([0.0] * len(left) + [-1.0]), A_ub=lines, b_ub=sides, bounds=bounds, method="highs")
         if not answer.success or -answer.fun - result.bound <= CLOSE * max(1.0, abs(result.bound)):
             break
         prices = np.maximum(np.asarray(answer.x[: len(left)]), 0.0)

@@ -300,15 +300,9 @@ def _cut(
     once = np.isin(np.arange(2 * count + 2), [0, 2 * count + 1]).astype(float)
     rows, sides, bound = list(rows), list(sides), -math.inf
     for _ in range(CUTS):
-        found = linprog(
-            cost,
-            A_eq=degrees,
-            b_eq=once,
-            A_ub=np.array(rows),
-            b_ub=np.array(sides) * (1.0 + np.sign(sides) * 1e-9),
-            bounds=[*((0.0, 1.0) for _ in number), *((low, 1.0) for low in needed)],
-            method="highs",
-        )
+        b_ub = np.array(sides) * (1.0 + np.sign(sides) * 1e-9)
+        bounds = [*((0.0, 1.0) for _ in number), *((low, 1.0) for low in needed)]
+        found = linprog(cost, A_eq=degrees, b_eq=once, A_ub=np.array(rows), b_ub=b_ub, bounds=bounds, method="highs")
         if not found.success:
             break
         bound = float(found.fun)

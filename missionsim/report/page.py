@@ -168,12 +168,9 @@ def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer:
         script = resources.files("missionsim.report").joinpath("plotly", "plotly-basic.min.js.gz").read_bytes()
         return base64.b64encode(script).decode("ascii")
 
+    loader = jinja2.PackageLoader("missionsim.report")
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("missionsim.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
+        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.globals["kind"] = lambda block: type(block).__name__
     environment.globals["mark"] = lambda tone: MARKS[tone]

@@ -120,14 +120,10 @@ class Run:
 
     def rows_where(self, keep: NDArray[np.bool_] | slice) -> Run:
         """The same run with only the chosen rows; each keeps the time that it stood for."""
-        return replace(
-            self,
-            columns={name: data[keep] for name, data in self.columns.items()},
-            dt_s=self.dt_s[keep],
-            whole=None,
-            power_w={name: power[keep] for name, power in self.power_w.items()},
-            fresh={name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
-        )
+        columns = {name: data[keep] for name, data in self.columns.items()}
+        power_w = {name: power[keep] for name, power in self.power_w.items()}
+        rest = {name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()}
+        return replace(self, columns=columns, dt_s=self.dt_s[keep], whole=None, power_w=power_w, fresh=rest)
 
 
 def row_durations(time_s: Array) -> Array:
@@ -190,12 +186,8 @@ def coarser(run: Run) -> Run:
     def column(name: str, data: ColumnData) -> ColumnData:
         return data[middle] if isinstance(data, Labels) or name in _CYCLIC else mean(data)
 
-    return replace(
-        run,
-        columns={name: column(name, data) for name, data in run.columns.items()},
-        dt_s=np.add.reduceat(run.dt_s, begin),
-        power_w={name: mean(power) for name, power in run.power_w.items()},
-    )
+    columns, dt_s = {name: column(name, data) for name, data in run.columns.items()}, np.add.reduceat(run.dt_s, begin)
+    return replace(run, columns=columns, dt_s=dt_s, power_w={name: mean(power) for name, power in run.power_w.items()})
 
 
 SPEEDS = {3.6: "km/h", 2.2369: "mph", 3.2808: "ft/s", 100.0: "cm/s", 1000.0: "mm/s", 1.0 / 3.6: "m/s divided by 3.6"}

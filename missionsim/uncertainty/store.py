@@ -168,12 +168,10 @@ class BlockStore:
             new = _flat(identity)
             differing = sorted(key for key in {*old, *new} if old.get(key) != new.get(key))
             if differing:
-                raise InputError.single(
-                    f"the batch in this folder is another one, by its {', '.join(differing)}",
-                    file=str(path),
-                    got=", ".join(f"{key}={_short(new.get(key))}" for key in differing),
-                    allowed=", ".join(f"{key}={_short(old.get(key))}" for key in differing) + "; or another --out",
-                )
+                told = f"the batch in this folder is another one, by its {', '.join(differing)}"
+                got = ", ".join(f"{key}={_short(new.get(key))}" for key in differing)
+                allowed = ", ".join(f"{key}={_short(old.get(key))}" for key in differing) + "; or another --out"
+                raise InputError.single(told, file=str(path), got=got, allowed=allowed)
             return
         if self.folder.exists() and any(item.name != LOCK_FILE for item in self.folder.iterdir()):
             raise InputError.single("this folder is not empty and holds no batch", file=str(self.folder))
