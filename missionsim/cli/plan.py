@@ -21,7 +21,7 @@ from missionsim.planner import reach as planner
 from missionsim.planner import why
 from missionsim.planner.answer import Answer, mission_text
 from missionsim.planner.chance import plan_task
-from missionsim.report.map_picture import site_figure
+from missionsim.report.figures_run import site_figure
 from missionsim.report.page import save_figure
 from missionsim.report.site_map import legs_table, map_of_plan, map_of_reach, plan_page
 from missionsim.report.terminal import console, show_table, titled

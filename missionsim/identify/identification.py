@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from missionsim.identify.align import Clock
-from missionsim.identify.apart import runs_apart
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95, estimated, pairs
@@ -22,7 +21,13 @@ from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, peaks, periodic, wrong_form
 from missionsim.identify.rules import demoted, other_curve, refusal
 from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
-from missionsim.identify.simpler import drifts_instead, instead_of_effects, level_difference, parameters_instead
+from missionsim.identify.simpler import (
+    drifts_instead,
+    instead_of_effects,
+    level_difference,
+    parameters_instead,
+    runs_apart,
+)
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
 

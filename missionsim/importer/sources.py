@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.importer.long_tables import signals_of
-from missionsim.importer.one_clock import one_clock
+from missionsim.importer.long_tables import one_clock, signals_of
 from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec

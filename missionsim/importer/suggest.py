@@ -15,8 +15,7 @@ import numpy as np
 from missionsim.errors import InputError
 from missionsim.importer import suggest_further, suggest_motion, suggest_power, suggest_rows
 from missionsim.importer.draft import Draft, quoted
-from missionsim.importer.long_tables import recognised, signals_of
-from missionsim.importer.one_clock import one_clock
+from missionsim.importer.long_tables import one_clock, recognised, signals_of
 from missionsim.importer.roles import Field, Guess, fields_of, guess_all, known_unit, says, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from missionsim.identify import apart, estimates, residual, rules, simpler, stepwise
+from missionsim.identify import estimates, residual, rules, simpler, stepwise
 from missionsim.identify.data import Candidate, Constraints
 from missionsim.identify.evidence import Evidence
 from missionsim.identify.findings import Structure
@@ -319,9 +319,9 @@ def test_a_label_that_is_constant_in_runs_may_be_it_where_a_level_has_up_to_thre
         chosen=(),
         source=SimpleNamespace(runs=(), covariates=()),
     )
-    monkeypatch.setattr(apart, "random_effects", lambda *_: np.outer(np.arange(runs) % floors, [2.0, 0.0, 0.0]))
-    monkeypatch.setattr(apart, "cause_is_constant", lambda *_: True)
-    told_of, _ = apart.runs_apart(model)
+    monkeypatch.setattr(simpler, "random_effects", lambda *_: np.outer(np.arange(runs) % floors, [2.0, 0.0, 0.0]))
+    monkeypatch.setattr(simpler, "cause_is_constant", lambda *_: True)
+    told_of, _ = simpler.runs_apart(model)
     assert told_of is not None
     assert told_of.effects == (("floor",) if told else ())
     assert ("it may be floor" in told_of.shape) == told

@@ -12,7 +12,7 @@ import yaml
 from missionsim.cli.app import run_command
 from missionsim.inputs.loading import load_task
 from missionsim.planner.chance import plan_task
-from missionsim.report.map_picture import site_figure
+from missionsim.report.figures_run import site_figure
 from missionsim.report.site_map import map_of_plan
 
 SMALL = "robot.batteries.drive.capacity=8 Wh"

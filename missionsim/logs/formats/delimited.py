@@ -19,6 +19,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import unreadable
 from missionsim.labels import Labels
 from missionsim.logs.codes import Tally
+from missionsim.logs.formats.arrays import elements, flattened, with_elements
 from missionsim.logs.formats.dialect import (
     MISSING_WORDS,
     Dialect,
@@ -31,7 +32,6 @@ from missionsim.logs.formats.dialect import (
     one_byte_encoding,
     sniff,
 )
-from missionsim.logs.formats.nested import elements, flattened, with_elements
 from missionsim.logs.formats.second_header import of_the_whole, refuse_second_header
 from missionsim.logs.raw import RawTable, Remark, from_arrow, leave_out_codes, measures, tallies_of, wanted_kind
 from missionsim.logs.readers import Options, Reader
