@@ -26,13 +26,9 @@ WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words
 """How loggers call things: see the file."""
 
 
-_OF_LOGS = {"K": 1.0, "cA": 0.01, "uV": 1e-6, "kn": 1852 / 3600, "Ah": 1.0, "mAh": 1e-3, "mdeg/s": 1e-3 * np.pi / 180}
-"""Units that robot files do not have; pint would be asked for them, which takes half a second to load."""
-
-
 def _factor(unit: str, dimension: str) -> float:
-    si = _OF_LOGS.get(unit) or unit_factor(unit, dimension)[0]
-    return si / 3600.0 if dimension == "energy" else si
+    si = WORDS["factors"].get(unit) or unit_factor(unit, dimension)[0]
+    return float(si / 3600.0 if dimension == "energy" else si)
 
 
 UNITS: dict[str, tuple[str, float]] = {
@@ -46,7 +42,7 @@ _PER = re.compile(
 
 
 _TAILS = (
-    r"[_ .]((?:k|m|mm|c)?m_s2?|km_h|rad_s|deg_s)\Z",
+    r"[_ .]((?:k|m|mm|c)?m_s2?|km_h|rad_s|deg_s|ft_s)\Z",
     r"(?<=[A-Za-z0-9]),?[_ .]([A-Za-z°%/µ0-9]+)\Z",
     r"(?<=[A-Za-z])(%)\Z",
     r"\s*/\s*\(?([A-Za-z°%µ][\w/°%²^]*)\)?\Z",
@@ -84,6 +80,9 @@ def words_of(name: str) -> tuple[str, str]:
             if match and not short and (unit := known_unit(match[1])):
                 text = text[: match.start()]
                 break
+    if not unit and (match := re.search(str(WORDS["ends"]), text, re.IGNORECASE)):
+        end = match[match.lastindex or 0]
+        unit, text = {"k": "K", "f": "degF", "lb": "lb"}[end.lower()], text[: -len(end) - 1]
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text).lower().replace("ß", "ss")
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     return re.sub(r"[^a-z0-9]+", " ", plain).strip(), unit

@@ -152,7 +152,10 @@ _SET = 0.002
 
 def _speed(draft: Draft) -> str:
     """The forward speed; the reference or formula of it, empty where there is none."""
-    found = sorted(draft.best("speed", 0.5), key=lambda guess: _is_set(draft.fields[guess.field]))
+    sides = [guess for side in ("left", "right") for guess in draft.best(side, 0.5)[:1]]
+    both = {guess.field for guess in sides}
+    found = [guess for guess in draft.best("speed", 0.5) if len(both) < 2 or guess.field not in both]
+    found.sort(key=lambda guess: _is_set(draft.fields[guess.field]))
     if found and found[0].field.endswith("state.speed") and f"{found[0].field[:-5]}duty_cycle" in draft.fields:
         told = (
             "is the electrical rpm of a motor: divide it by the pairs of poles, the gear and 60, times the wheel's way"
@@ -174,10 +177,10 @@ def _speed(draft: Draft) -> str:
     elif found:
         guess = _speed_unit(draft, found[0])
         draft.column("speed_m_s", _moving(draft, guess.field, "v"), guess)
-    elif draft.best("left", 0.5) and draft.best("right", 0.5):
-        from_wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
-    elif draft.direct and (wheels := numbered_wheels(draft)):
-        from_wheels(draft, *wheels)
+    elif len(both) == 2:
+        from_wheels(draft, *sides)
+    elif draft.direct and (alike := numbered_wheels(draft)):
+        from_wheels(draft, *alike)
     elif draft.direct and (wheel := draft.best("wheel", 0.5)):
         from_wheels(draft, wheel[0])
     elif not _from_way(draft) and not from_degrees(draft):
@@ -185,13 +188,11 @@ def _speed(draft: Draft) -> str:
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
 
 
-_TWIST = ".twist.twist.linear.x"
-
-
 def _leave_out_dead_twists(draft: Draft) -> None:
     """Leave out the speeds of an odometry whose pose moves while they stay nought; told."""
-    for name in [name for name in draft.fields if name.endswith(_TWIST)]:
-        topic = name.removesuffix(_TWIST)
+    end = ".twist.twist.linear.x"
+    for name in [name for name in draft.fields if name.endswith(end)]:
+        topic = name.removesuffix(end)
         place = [f"{topic}.pose.pose.position.{axis}" for axis in "xy"]
         time_s = draft.fields[name].time_s
         if not set(place) <= draft.fields.keys() or time_s is None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.importer.draft import Draft
-from missionsim.importer.roles import ROLES, Field, Guess, folded, says, size_of, words_of
+from missionsim.importer.roles import ROLES, UNITS, Field, Guess, folded, says, size_of, words_of
 from missionsim.labels import Labels
 from missionsim.physics import Array
 
@@ -70,6 +70,12 @@ def from_wheels(draft: Draft, *wheels: Guess) -> None:
     if factor != 1.0:
         formula += f" * {factor:.10g}" if unit else f" / {len(wheels)}"
     guess = replace(wheels[0], role="speed", unit="", sure="likely")
+    if len(wheels) == 2 and not draft.best("yaw_rate", 0.5) and not draft.best("heading", 0.5):
+        how = "(right - left) / track, both in m/s, with `constants: {track: 0.4 m}` for their distance"
+        draft.remarks.append(f"no turn rate was found: `yaw_rate_rad_s` is {how}")
+    if all(UNITS.get(words_of(one.field)[1], ("",))[0] == "speed" for one in wheels):
+        draft.column("speed_m_s", formula, replace(guess, why=told))
+        return
     radius = _radius(draft, mean)
     if radius is None:
         draft.head["constants"] = "{wheel_radius: RADIUS m}"

@@ -133,6 +133,9 @@ _table("italian", "prova.csv", "Tempo (s);Tensione batteria (V);Corrente batteri
        T, VOLTS, AMPS, V, encoding="latin-1", **COMMAS)
 _table("wheels_in_rpm_with_positions", "rpm.csv",
        "time_s,battery_power_W,left_wheel_rpm,right_wheel_rpm,x_m,y_m", T, P, RPM, RPM, way(T), ZERO)
+_table("wheels_in_m_s", "wheels.csv", "time_s,battery_power_W,left_wheel_velocity [m/s],right_wheel_velocity [m/s]",
+       T, P, V - 0.2 * W, V + 0.2 * W)
+_table("feet", "feet.csv", "time_s,power_hp,speed_ft_s,altitude_ft", T, P / 745.69987158227, V / 0.3048, ZERO + 1640)
 # fmt: on
 
 

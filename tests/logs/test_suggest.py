@@ -357,3 +357,18 @@ def test_lines_that_are_no_rows_are_told_once(tmp_path: Path, row: str, told: st
     with pytest.raises(InputError, match=told) as caught:
         read_csv(tmp_path / "log.csv", Options())
     assert len(caught.value.faults) == 1
+
+
+def test_units_of_a_load_and_of_the_air(tmp_path: Path) -> None:
+    rows = "".join(f"{i},24,{0.1 * (i % 7)},11.02311311,{50 + i % 5},2\n" for i in range(60))
+    (tmp_path / "run.csv").write_text("t,power_w,speed,payload_lb,ambient_temp_f,wheel_speed_lb\n" + rows)
+    (log,) = suggested(tmp_path, tmp_path / "run.csv")
+    near(log, "payload_kg", np.full(60, 5.0), 1e-6)
+    near(log, "temp_ambient_c", (18.0 + np.arange(60) % 5) / 1.8, 1e-6)
+
+
+def test_a_turn_rate_by_two_wheels_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "".join(f"{i},24,{0.1 * (i % 7)},{0.1 * (i % 5)}\n" for i in range(60))
+    (tmp_path / "run.csv").write_text("t,power_w,left wheel [m/s],right wheel [m/s]\n" + rows)
+    assert main(["import", str(tmp_path / "run.csv"), "--suggest", "--out", str(tmp_path / "m.yaml")]) == 0
+    assert "`yaw_rate_rad_s` is (right - left) / track" in capsys.readouterr().out
