@@ -54,7 +54,8 @@ def import_(
         Write a first map: names, units in them, ranges of values and types of messages are read, and each guess says
         how sure it is.
     robot
-        With --suggest: the robot (a shipped name, or a file) whose battery was measured, for the names of the columns.
+        With --suggest: the robot (a shipped name, or a file) whose battery was measured, for the names of the columns
+        of battery and components.
     strict
         Refuse everything where a file cannot be read, a recording is damaged or its times are no times, in place of
         leaving it out or mending it.
@@ -212,11 +213,12 @@ def _list(sources: Sequence[Path], to: Output) -> int:
 def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: Output) -> int:
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError.single("--suggest writes a map", got=str(out), allowed="--out MAP.yaml")
-    battery = "robot"
+    battery, components = "robot", list[str]()
     if robot is not None:
         spec = load_robot(robot)
+        components = [name for name, one in spec.components.items() if not one.always_on]
         battery = spec.motion.battery if spec.motion is not None else next(iter(spec.batteries))
-    found = suggest_map(find_files(sources), battery)
+    found = suggest_map(find_files(sources), battery, components)
     if out is not None:
         write_text(out, found.text)
     columns = {name: fields_of(guess, "role field unit sure why") for name, guess in found.columns.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from missionsim.importer.long_tables import one_clock, recognised, signals_of
 from missionsim.importer.roles import Field, Guess, fields_of, guess_all, known_unit, says, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
+from missionsim.importer.suggest_switches import suggest_switches
 from missionsim.labels import Labels
 from missionsim.logs.clean import in_turn
 from missionsim.logs.raw import Remark
@@ -83,11 +84,12 @@ def of_one_robot(fields: Mapping[str, Field]) -> tuple[dict[str, Field], str]:
     return kept, f"{told}; for another one, put its name in the place of /{chosen}/ in `signals`"
 
 
-def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
+def suggest_map(paths: Sequence[Path], battery: str = "robot", components: Collection[str] = ()) -> Suggestion:
     """Read a file, or the files of a run, and write a first map for it.
 
-    `paths`: one file (the first of several of the same kind), or files of one run that have to be joined; `battery`:
-    what the robot calls the battery that was measured. Raises InputError: a file that cannot be read.
+    `paths`: one file (the first of several of the same kind), or files of one run that have to be joined; `battery`,
+    `components`: what the robot calls the battery that was measured, and what it switches. Raises InputError: a file
+    that cannot be read.
     """
     table = suggest_rows.table_of_runs(paths)
     paths = [path for path in paths if table is None or not path.samefile(table[0])]
@@ -115,6 +117,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     if table is not None:
         suggest_rows.join_runs(draft, *table)
     suggest_motion.suggest_others(draft)
+    suggest_switches(draft, components)
     suggest_further.suggest(draft)
     if joined:
         _on_one_clock(draft, paths[0])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.importer import transform
-from missionsim.importer.draft import Draft, quoted
+from missionsim.importer.draft import Draft
 from missionsim.importer.long_tables import written_at_changes
 from missionsim.importer.roles import WORDS, Field, Guess, folded, says, size_of, words_of
 from missionsim.importer.sources import identifier
@@ -345,43 +345,3 @@ def suggest_others(draft: Draft) -> None:
             why = "a consumer of its own, for an effect of yours"
             formula = ref if factor == 1.0 else f"{ref} * {factor:g}"
             draft.column(f"{name}_{end}", formula, Guess("", guess.field, "", 0.6, why, "a guess"))
-    for name, one in draft.fields.items():
-        component = switch_name(one)
-        if component is None or name in used or f"on_{component}" in draft.columns:
-            continue
-        guess = Guess("on", name, "", 0.5, "changes between on and off", "a guess")
-        ref = draft.ref(name, f"{component}_state")
-        if isinstance(one.values, Labels):
-            table = ", ".join(f"{quoted(word)}: {int(_is_on(word))}" for word in one.values.names)
-            draft.columns.setdefault(f"on_{component}", (f"{{lookup: {ref}, values: {{{table}}}}}", guess))
-        else:
-            draft.column(f"on_{component}", ref, guess)
-
-
-def _is_on(word: str) -> bool:
-    return says("on", word) and not says("off", word)
-
-
-def switch_name(one: Field) -> str | None:
-    """Name of a component that a field may switch on and off; None where it does not look so."""
-    topic, _, last = one.name.rpartition(".")
-    words = words_of(last)[0].split() if last else []
-    if isinstance(one.values, Labels):
-        names = one.values.names
-        if (
-            len(names) < 2
-            or len(names) > 8
-            or not any(map(_is_on, names))
-            or not any(says("off", name) for name in names)
-        ):
-            return None
-    elif set(np.unique(one.values[np.isfinite(one.values)])) != {0.0, 1.0}:
-        return None
-    marked = any(says("switch", word) for word in words) or isinstance(one.values, Labels)
-    left = [word for word in words if not says("switch", word)]
-    if not left:  # /laser/transition_event.goal_state.label
-        marks = ("transition", "event", "goal", "state")
-        left = [word for word in words_of(topic.split(".")[0])[0].split() if word not in marks]
-    if not marked or not left or says("no_switch", words_of(one.name)[0]):
-        return None
-    return identifier("_".join(left))

@@ -167,6 +167,17 @@ def test_position_counts_blank_lines_and_quotes(tmp_path: Path, faults_of) -> No
     assert (fault.line, fault.column, fault.path, fault.got) == (5, 17, "power_robot_w", "x1")
 
 
+def test_comments_among_the_rows(tmp_path: Path, faults_of) -> None:
+    head, *rows = GOOD.splitlines(keepends=True)
+    path = tmp_path / "run.csv"
+    path.write_text(head + "# paused\n" + rows[0] + "# resumed, by hand\n" + "".join(rows[1:]) + "# end\n")
+    log = read_log(path)
+    assert (log.rows, log.energy_wh("robot")) == (3, pytest.approx(33 / 3600))
+    assert [r.message for r in log.remarks] == ["lines that begin with # stand among the rows: 3"]
+    path.write_text(head + "# paused\n" + rows[0] + "1.5,x,0.2,carpet\n2.5,1,0.1\n# end\n")
+    assert {fault.line for fault in faults_of(read_log, path).faults} == {4, 5}
+
+
 def test_rows_are_counted_as_they_are_read(tmp_path: Path) -> None:
     """Rows of quoted tables are counted by bytes, which must agree with what lines of text would say."""
     rng = np.random.default_rng(0)

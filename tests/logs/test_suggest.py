@@ -372,3 +372,13 @@ def test_a_turn_rate_by_two_wheels_is_told(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "run.csv").write_text("t,power_w,left wheel [m/s],right wheel [m/s]\n" + rows)
     assert main(["import", str(tmp_path / "run.csv"), "--suggest", "--out", str(tmp_path / "m.yaml")]) == 0
     assert "`yaw_rate_rad_s` is (right - left) / track" in capsys.readouterr().out
+
+
+def test_columns_that_are_called_as_components_of_the_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run.csv").write_text(
+        "t,power_w,Kinect,Lampe\n" + "".join(f"{i},24,{i % 2},{i % 3 // 2}\n" for i in range(60))
+    )
+    suggest = ["import", str(tmp_path / "run.csv"), "--suggest", "--out", str(tmp_path / "m.yaml"), "--robot"]
+    assert main([*suggest, "pioneer3dx"]) == 0
+    assert "on_kinect: Kinect" in (tmp_path / "m.yaml").read_text()
+    assert "is it one of Lampe?" in capsys.readouterr().out.replace("\n", " ")

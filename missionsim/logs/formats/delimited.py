@@ -6,6 +6,7 @@ import codecs
 import contextlib
 import csv
 import itertools
+import mmap
 import math
 import re
 from collections import deque
@@ -27,6 +28,7 @@ from missionsim.logs.formats.dialect import (
     field_position,
     has_cut_end,
     has_utf8,
+    is_comment,
     is_number,
     line_finder,
     one_byte_encoding,
@@ -126,9 +128,12 @@ class _File:
         with open(path, "rb") as handle:
             handle.seek(-1, 2)
             self.ended = handle.read(1) in b"\r\n\0"  # UTF-16 ends in a zero byte
-        if self.cut and dialect.encoding == "utf-8" and not _is_utf8(path):
+            with mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as whole:
+                self.commented = whole.find(b"\n#") >= 0
+        if (self.cut or self.commented) and dialect.encoding == "utf-8" and not _is_utf8(path):
             raise UnicodeError("bad text")  # Arrow cannot tell bad text from a ragged line
         self.skipped: list[int] = []
+        self.comments = 0
         self.block_bytes = _BLOCK_BYTES
         self.lines = line_finder(path, dialect)
         self.schema: Any = None
@@ -154,6 +159,9 @@ class _File:
                 words |= {str(text)}
         if count or not given:
             raw = self._raw(held, first)
+            if self.comments:
+                told = f"lines that begin with # stand among the rows: {self.comments}"
+                raw.remarks.append(Remark("format", "", told, "they were skipped", "note"))
             if self.cut:
                 told = "the last line is cut short"
                 raw.remarks.append(Remark("format", "", told, "it was left out", "warning", raw.line(count), 1))
@@ -174,13 +182,16 @@ class _File:
         )
 
         def on_ragged(row: Any) -> str:
-            self.skipped.append(row.actual_columns)
-            return "skip"
+            if comment := row.text.lstrip().startswith("#"):
+                self.comments += 1
+            elif self.cut:
+                self.skipped.append(row.actual_columns)
+            return "skip" if comment or self.cut else "error"
 
         parse = arrow_csv.ParseOptions(
             delimiter=self.dialect.delimiter,
             quote_char='"' if self.dialect.quoted else False,
-            invalid_row_handler=on_ragged if self.cut else None,
+            invalid_row_handler=on_ragged if self.cut or self.commented else None,
         )
 
         def opened(types: dict[str, Any]) -> Any:
@@ -206,6 +217,7 @@ class _File:
         # the streaming reader fixes types from its first block: whole numbers there may be fractions later
         loose = {f.name: pa.float64() for f in probe if pa.types.is_integer(f.type) or pa.types.is_null(f.type)}
         self.skipped.clear()
+        self.comments = 0
         try:
             reader = opened({**loose, **fixed})
             self.schema = reader.schema
@@ -257,8 +269,9 @@ def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fau
     try:
         with open(path, encoding=dialect.encoding, newline="") as handle:
             for number, line in itertools.islice(enumerate(handle, start=1), dialect.header_line, None):
-                rows += bool(line.strip())
-                found = list(_line_faults(line.rstrip("\r\n"), number, file, dialect, typed)) if line.strip() else []
+                row = bool(line.strip()) and not is_comment(line, dialect)
+                rows += row
+                found = list(_line_faults(line.rstrip("\r\n"), number, file, dialect, typed)) if row else []
                 more += len(found[_MOST_FAULTS - len(faults) :])
                 faults += found[: _MOST_FAULTS - len(faults)]
     except UnicodeError as error:

@@ -147,6 +147,7 @@ def sniff(
         note(f"{skipped} lines before the header", "they were skipped", 1)
     first = lines[skipped]
     body = [line for line in whole[rows:] if line.strip()][:200]
+    body = [line for line in body if not line.lstrip().startswith("#")] or body
     delimiter = delimiter or _delimiter(first, body)
     cells = tuple(cells_of(first, delimiter))
     names = tuple(header) or cells
@@ -305,14 +306,19 @@ def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
 
 
 def _lines(path: Path, dialect: Dialect) -> Iterator[tuple[int, bool]]:
-    """Number of each line after the header, and whether it is empty."""
+    """Number of each line after the header, and whether it is empty, or a comment."""
     with open(path, encoding=dialect.encoding, errors="replace") as handle:
         for number, line in itertools.islice(enumerate(handle, 1), dialect.header_line, None):
-            yield number, not line.strip()
+            yield number, not line.strip() or is_comment(line, dialect)
+
+
+def is_comment(line: str, dialect: Dialect) -> bool:
+    """Whether a line among the rows begins with # and is none of them."""
+    return line.lstrip().startswith("#") and len(cells_of(line, dialect.delimiter)) != len(dialect.names)
 
 
 def count_rows(path: Path, dialect: Dialect) -> int:
-    """Lines after the header that are not empty."""
+    """Lines after the header that are rows."""
     return sum(not empty for _, empty in _lines(path, dialect))
 
 
@@ -321,7 +327,8 @@ def has_cut_end(path: Path, dialect: Dialect) -> bool:
     with open(path, "rb") as handle:
         handle.seek(0, 2)
         handle.seek(max(0, handle.tell() - _HEAD_BYTES))
-        lines = [line for line in handle.read().splitlines() if line.strip()]  # ending tabs are cells without a value
+        # ending tabs are cells without a value; the last line may be a comment
+        lines = [line for line in handle.read().splitlines() if line.strip() and not line.startswith(b"#")]
     if dialect.encoding.startswith("utf-16") or len(lines) < 3:
         return False
     try:
