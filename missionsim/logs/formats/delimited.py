@@ -6,8 +6,8 @@ import codecs
 import contextlib
 import csv
 import itertools
-import mmap
 import math
+import mmap
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
