@@ -107,17 +107,11 @@ def robots(*, to: Output = TERMINAL) -> int:
     if to.text:
         rows = []
         for item in described:
-            batteries = "\n".join(
-                f"{key} {rounded(value['capacity_wh'], 4)} Wh" for key, value in item["batteries"].items()
-            )
-            switched = [
-                key + (f" ×{value['units']}" if value["units"] > 1 else "")
-                for key, value in item["components"].items()
-                if not value["always_on"]
-            ]
-            rows.append(
-                (item["name"], item["title"], batteries, ", ".join(switched) or "–", "\n".join(item["schemes"]) or "–")
-            )
+            each = [f"{key} {rounded(value['capacity_wh'], 4)} Wh" for key, value in item["batteries"].items()]
+            units = {key: value["units"] for key, value in item["components"].items() if not value["always_on"]}
+            switched = ", ".join(key + f" ×{count}" * (count > 1) for key, count in units.items()) or "–"
+            schemes = "\n".join(item["schemes"]) or "–"
+            rows.append((item["name"], item["title"], "\n".join(each), switched, schemes))
         columns = ["robot", "what it is", "batteries", "components that switch", "control schemes"]
         show_table("Shipped robots", columns, rows)
     return 0

@@ -210,15 +210,9 @@ def write(
     for name in {part for _, _, part in families} - editing.robot.components.keys():
         editing.add_component(name, models.battery)
     for one in written:
+        fitted_now = {"status": "fitted", "source": CALIBRATION}
         parameters = {
-            name: {
-                "value": p.value,
-                "sd": max((p.high - p.low) / 3.92, 1e-9),
-                "unit": p.unit,
-                "status": "fitted",
-                "source": CALIBRATION,
-            }
-            | _noted(p)
+            name: {"value": p.value, "sd": max((p.high - p.low) / 3.92, 1e-9), "unit": p.unit} | fitted_now | _noted(p)
             for name, p in one.parameters.items()
         }
         origin: dict[str, Any] = {

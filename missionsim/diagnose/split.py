@@ -86,12 +86,8 @@ def choose_split(
     logs = tuple(logs)
     if holdout is None:
         if len(logs) <= SEVERAL_RUNS:
-            return Split(
-                logs,
-                (),
-                f"{counted(len(logs), 'run')} only: none held out, so nothing shows how "
-                "the model does on runs that were not used",
-            )
+            told = f"{counted(len(logs), 'run')} only: none held out, so nothing shows how "
+            return Split(logs, (), f"{told}the model does on runs that were not used")
         return _last(logs, 0.25)
     parts = [str(holdout)] if isinstance(holdout, (str, Path)) else [str(item) for item in holdout]
     if all(Path(part).exists() for part in parts):

@@ -77,20 +77,11 @@ def edges_driven(
         begin, end = legs[int(leg_of[first])], legs[int(leg_of[stop - 1])]
         assert begin.edge is not None
         spec = environment.edges[begin.edge.edge]
-        made.append(
-            DrivenEdge(
-                segment[first],
-                begin.edge.begin,
-                begin.edge.end,
-                begin.edge.edge,
-                spec.name or f"{spec.from_}–{spec.to}",
-                (end.edge or begin.edge).to_m - begin.edge.from_m,
-                start_s[first],
-                end_s[stop - 1],
-                {name: known[stop] - known[first] for name, known in sums.items()},
-                {name: charge[stop - 1] for name, charge in charges.items()},
-            )
-        )
+        length_m = (end.edge or begin.edge).to_m - begin.edge.from_m
+        energy = {name: known[stop] - known[first] for name, known in sums.items()}
+        left = {name: charge[stop - 1] for name, charge in charges.items()}
+        way = begin.edge.begin, begin.edge.end, begin.edge.edge, spec.name or f"{spec.from_}–{spec.to}"
+        made.append(DrivenEdge(segment[first], *way, length_m, start_s[first], end_s[stop - 1], energy, left))
     return made
 
 

@@ -190,16 +190,8 @@ class RunSetup:
     def execute(self, alarms: Sequence[Alarm]) -> Evaluating[World]:
         """One execution with interrupts at known instants."""
         check_covariates(self.plan, self.model)
-        world = World(
-            self.plan,
-            self.model,
-            self.batteries,
-            self.components,
-            alarms=alarms,
-            leave=self._leave,
-            goes_on=self.goes_on,
-            values=self.drawn,
-        )
+        parts = self.plan, self.model, self.batteries, self.components
+        world = World(*parts, alarms=alarms, leave=self._leave, goes_on=self.goes_on, values=self.drawn)
         yield from world.run()
         return world
 

@@ -251,16 +251,10 @@ def _judged(
         unsure = [e for e in spoilt if not inside and not e.accepted]
         shares = {e.share: e.share + Z95 * e.share_sd for e in unsure}
         limit = max([limit, *shares.values()])
-        out.append(
-            Judged(
-                name,
-                bool(inside) and name not in unnamed,
-                reason,
-                limit if math.isfinite(limit) else None,
-                name in rival_of or name in unnamed or bool(unsure),
-                share if inside and name in unnamed else max(shares, default=None),
-            )
-        )
+        least = limit if math.isfinite(limit) else None
+        doubtful = share if inside and name in unnamed else max(shares, default=None)
+        is_open = name in rival_of or name in unnamed or bool(unsure)
+        out.append(Judged(name, bool(inside) and name not in unnamed, reason, least, is_open, doubtful))
     return tuple(out)
 
 

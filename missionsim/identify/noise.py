@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -287,22 +287,9 @@ def start_noise(design: Design) -> Noise:
     step = design.layout.step_s
     sigma = 0.02 * power * min(1.0, np.sqrt(step))
     has_motion = 0.005 if np.any(design.random[2]) else 1e-6
-    return Noise(
-        step,
-        max(4.0, 2 * step),
-        max(60.0, 20 * step),
-        0.6,
-        0.1,
-        sigma,
-        0.0,
-        0.005 * power,
-        gain=0.005,
-        motion_gain=has_motion,
-        ramp_error=0.0,
-        switch_error=0.0,
-        weight=np.ones(n),
-        scale=np.ones(n),
-    )
+    errors: dict[str, Any] = {"gain": 0.005, "motion_gain": has_motion, "ramp_error": 0.0, "switch_error": 0.0}
+    errors |= {"weight": np.ones(n), "scale": np.ones(n)}
+    return Noise(step, max(4.0, 2 * step), max(60.0, 20 * step), 0.6, 0.1, sigma, 0.0, 0.005 * power, **errors)
 
 
 def bounded_noise(design: Design, squares: LeastSquares, chosen: Sequence[int]) -> Noise:

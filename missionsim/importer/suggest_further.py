@@ -14,20 +14,7 @@ from missionsim.physics import Array
 
 _MOST = 12
 """Further columns at most (assumed): each one more is one more that chance may find."""
-_ROLES = [
-    "power",
-    "voltage",
-    "current",
-    "energy",
-    "charge",
-    "time",
-    "speed",
-    "x",
-    "y",
-    "heading",
-    "elevation",
-    "distance",
-]
+_ROLES = (*"xy", "power", "voltage", "current", "energy", "charge", "time", "speed", "heading", "elevation", "distance")
 """What tells the power again, or where and when it was."""
 _SAME = 0.98
 """Correlation from which a number tells what a column tells already (assumed)."""

@@ -115,11 +115,8 @@ def _too_much(draft: Draft, watts: NDArray[np.float64]) -> str:
         return ""
     level = float(np.nanmedian(draft.values(volts.field, volts.unit)))
     amperes = float(np.nanquantile(np.abs(watts), 0.95)) / max(level, 1e-9)
-    return (
-        f"mW, as {amperes:.4g} A at {level:.3g} V would be too much"
-        if amperes > max(60.0, _AMPERES_A_VOLT * level)
-        else ""
-    )
+    much = amperes > max(60.0, _AMPERES_A_VOLT * level)
+    return f"mW, as {amperes:.4g} A at {level:.3g} V would be too much" if much else ""
 
 
 def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:

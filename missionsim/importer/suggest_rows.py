@@ -198,15 +198,10 @@ def table_of_runs(paths: Sequence[Path], runs: Sequence[str] = ()) -> tuple[Path
             fields = fields_of(file)
         except InputError:
             continue
-        logs = (
-            [
-                one if path.resolve().parent != file.parent else one[:-1]  # the folder of the table names no run
-                for one, path in zip(names, paths, strict=True)
-                if not file.samefile(path)
-            ]
-            if not runs
-            else names
-        )
+        logs = names
+        if not runs:  # the folder of the table names no run
+            outside = [(one, path) for one, path in zip(names, paths, strict=True) if not file.samefile(path)]
+            logs = [one if path.resolve().parent != file.parent else one[:-1] for one, path in outside]
         fitting: list[tuple[bool, Field, list[list[int]]]] = []
         for one in fields:
             keys = keys_of(one.values)

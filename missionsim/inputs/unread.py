@@ -15,22 +15,11 @@ from missionsim.inputs.segments import flat_segments
 from missionsim.inputs.tree import Document, Where
 
 _EFFECT = "effects: [{{effect: {}, battery: …, parameters: {{k: …}}}}], or the motion model traction"
+_SIDEWAYS = "u in a formula of motion, or the motion model mecanum"
 _READERS = {
-    "slope": ("this slope", "rad", {"grade", "copper_loss"}, "slope_rad|theta", _EFFECT.format("grade")),
-    "payload": (
-        "this payload",
-        "kg",
-        {"payload", "grade", "acceleration", "copper_loss"},
-        "payload_kg|mass_kg|m",
-        _EFFECT.format("payload"),
-    ),
-    "direction": (
-        "going sideways",
-        "rad",
-        set[str](),
-        "lateral_speed_m_s|u",
-        "u in a formula of motion, or the motion model mecanum",
-    ),
+    "slope": ("this slope", "rad", "grade copper_loss", "slope_rad|theta", "grade"),
+    "payload": ("this payload", "kg", "payload grade acceleration copper_loss", "payload_kg|mass_kg|m", "payload"),
+    "direction": ("going sideways", "rad", "", "lateral_speed_m_s|u", _SIDEWAYS),
 }
 """By setting: how it is called, its unit, effects of the library that read it (lifting, speeding up and pulling read
 the load as part of the mass), its names in formulas, and what would read it."""
@@ -52,7 +41,7 @@ def unread_settings(mission: MissionSpec) -> Iterator[Fault]:
     formulas += [load.law.power for part in robot.components.values() for load in part.loads if load.law is not None]
     segments = list(flat_segments(mission.segments))
     for setting, (called, unit, readers, words, advice) in _READERS.items():
-        if any(effect.effect in readers for effect in effects):
+        if any(effect.effect in readers.split() for effect in effects):
             continue
         if any(re.search(rf"\b({words})\b", text) for text in formulas if text):
             continue
@@ -68,8 +57,8 @@ def unread_settings(mission: MissionSpec) -> Iterator[Fault]:
             size = 0.0 if given is None else math.sin(given.value) if setting == "direction" else given.value
             if given is not None and abs(size) > 1e-9:
                 message = f"{called} costs nothing: no term of robot '{robot.name}' depends on it"
-                got = f"{given.value:.4g} {unit}"
-                yield document.fault(where, message, got=got, allowed=advice, warning=True)
+                got, allowed = f"{given.value:.4g} {unit}", _EFFECT.format(advice) if readers else advice
+                yield document.fault(where, message, got=got, allowed=allowed, warning=True)
                 break
 
 

@@ -255,12 +255,8 @@ class TimeAxis:
             usual = known[np.abs(known) <= most]
             allowed = f"as in the other rows, {usual.min():.6g} to {usual.max():.6g} s"
             told = "a time that no clock shows"
-            raise InputError(
-                [
-                    Fault(raw.file, raw.line(int(i)), 0, told, "time_s", f"{seconds[i]:g} s", allowed)
-                    for i in absurd[:20]
-                ]
-            )
+            rows = [(raw.line(int(i)), f"{seconds[i]:g} s") for i in absurd[:20]]
+            raise InputError([Fault(raw.file, line, 0, told, "time_s", got, allowed) for line, got in rows])
 
 
 def numbers_as_times(values: Array) -> Stamps:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.task import TaskSpec
 from missionsim.numerals import in_wh, rounded
@@ -298,17 +298,9 @@ def alternatives(answer: Answer) -> list[Json]:
         objective = float(np.array([made.duration_s, *made.energy_wh.values()]) @ site.weights)
         if objective <= answer.objective * (1 + 1e-9):
             continue
-        found.append(
-            {
-                "kind": name,
-                "feasible": True,
-                "objective": objective,
-                "worse": objective / answer.objective - 1.0 if answer.objective else None,
-                "duration_s": made.duration_s,
-                "energy_wh": made.energy_wh,
-                "order": made.order(),
-            }
-        )
+        worse = objective / answer.objective - 1.0 if answer.objective else None
+        told = fields_of(made, "duration_s energy_wh") | {"order": made.order()}
+        found.append({"kind": name, "feasible": True, "objective": objective, "worse": worse, **told})
     return sorted(found, key=lambda item: item.get("objective", math.inf))
 
 

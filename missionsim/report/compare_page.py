@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -85,19 +86,11 @@ def _where(one: BatteryComparison) -> list[web.Block]:
     if shown:
         parts = [100.0 * d.explained for d in shown]
         hover = "%{y}: %{x:.1f} %<extra></extra>"
-        layout = {
-            "xaxis": web.axis("part of the error's variance, %", rangemode="tozero"),
-            "margin": {"l": 180, **web.MARGIN},
-        }
-        blocks.append(
-            web.Chart(
-                [web.bars([label(d.title) for d in shown], parts, web.MEASURED, hovertemplate=hover)],
-                layout,
-                "What the power error varies with, each quantity taken alone. Quantities that vary together share the "
-                "same part, so this shows where to look, not the cause.",
-                60 + 30 * max(3, len(shown)),
-            )
-        )
+        part, margin = web.axis("part of the error's variance, %", rangemode="tozero"), {"l": 180, **web.MARGIN}
+        bars = web.bars([label(d.title) for d in shown], parts, web.MEASURED, hovertemplate=hover)
+        caption = "What the power error varies with, each quantity taken alone. Quantities that vary together share "
+        caption += "the same part, so this shows where to look, not the cause."
+        blocks.append(web.Chart([bars], {"xaxis": part, "margin": margin}, caption, 60 + 30 * max(3, len(shown))))
     rows: list[list[object]] = []
     for w in [w for w in one.where[:TABLE_ROWS] if w.explains > 0.0]:
         row = [w.title, f"{w.value} {w.unit}".strip(), w.explains, signed(w.bias_w), w.seconds]
@@ -127,21 +120,13 @@ def residual(found: Dependence) -> web.Chart:
         "marker": {"color": web.PALE},
         "hovertemplate": "%{y:.1f} % of the time<extra></extra>",
     }
-    error = web.line(
-        x,
-        [b.bias_w for b in bins],
-        "mean error (model minus measured)",
-        web.MODEL,
-        2,
-        mode="lines+markers" if numeric else "markers",
-        marker={"size": 7 if numeric else 11, "color": web.MODEL},
-        text=[
-            f"{label(b.value)} {found.unit}: {watts(b.bias_w, sign=True)} ± {watts(b.spread_w)}, {b.seconds:.0f} s"
-            for b in bins
-        ],
-        hovertemplate="%{text}<extra></extra>",
-        error_y={"type": "data", "array": [b.spread_w for b in bins], "color": "#aab2bd", "thickness": 1, "width": 3},
-    )
+    told = (f"{watts(b.bias_w, sign=True)} ± {watts(b.spread_w)}, {b.seconds:.0f} s" for b in bins)
+    mode, size = ("lines+markers", 7) if numeric else ("markers", 11)
+    more: dict[str, Any] = {"mode": mode, "marker": {"size": size, "color": web.MODEL}}
+    more["text"] = [f"{label(b.value)} {found.unit}: {line}" for b, line in zip(bins, told, strict=True)]
+    more["hovertemplate"], spread = "%{text}<extra></extra>", [b.spread_w for b in bins]
+    more["error_y"] = {"type": "data", "array": spread, "color": "#aab2bd", "thickness": 1, "width": 3}
+    error = web.line(x, [b.bias_w for b in bins], "mean error (model minus measured)", web.MODEL, 2, **more)
     title = label(found.title) + (f", {found.unit}" if found.unit else "")
     layout = {
         "xaxis": web.axis(title, **({} if numeric else {"type": "category"})),
@@ -159,10 +144,7 @@ def _power(one: BatteryComparison, batteries: int) -> list[web.Block]:
     points = max(200, TOTAL_POINTS // (6 * batteries * len(shown)))
     more = len(shown) < len(one.runs)
     note = f"The {MOST_RUNS} runs with the largest power error of {len(one.runs)}." if more else ""
-    charts: list[tuple[str, list[web.Block]]] = []
-    for run in shown:
-        charts.append((run.run, [power(run, points)]))
-    return web.one_of("Run", charts, note)
+    return web.one_of("Run", [(run.run, [power(run, points)]) for run in shown], note)
 
 
 def power(run: RunComparison, points: int) -> web.Chart:
@@ -208,9 +190,8 @@ def progress(one: BatteryComparison) -> web.Chart:
         "yaxis": web.axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
         "hovermode": "x unified",
     }
-    return web.Chart(
-        traces, layout, "Error of the energy spent so far, model minus measured, relative to measured.", 400
-    )
+    caption = "Error of the energy spent so far, model minus measured, relative to measured."
+    return web.Chart(traces, layout, caption, 400)
 
 
 DIVERGING = ("#0b4f8a", "#7fb2d9", "#f7f7f7", "#f2a477", "#a63603")
@@ -283,13 +264,9 @@ def _runs(one: BatteryComparison) -> list[web.Block]:
     total = sum(one.by_component_wh.values()) or 1.0
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]
     terms = [[name, energy] for name, energy in one.by_term_wh.items()]
+    columns = ["run", "time, s", "measured, Wh", "model, Wh", "error, %", "RMSE, W", "bias, W"]
     return [
-        web.Table(
-            ["run", "time, s", "measured, Wh", "model, Wh", "error, %", "RMSE, W", "bias, W"],
-            rows,
-            "Runs, the worst first",
-            4,
-        ),
+        web.Table(columns, rows, "Runs, the worst first", 4),
         web.Table(["component", "energy, Wh", "share"], parts, "Energy of the model by component", 4, 2),
         web.Details("Energy of the model by physical term", [web.Table(["term", "energy, Wh"], terms)]),
     ]

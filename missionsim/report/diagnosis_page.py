@@ -113,15 +113,9 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
 
 def _candidates(battery: BatteryDiagnosis) -> list[web.Block]:
     found = {effect.effect: effect for effect in battery.effects}
-    rows = sorted(
-        (
-            c
-            for c in battery.candidates
-            if c.effect in found
-            or (c.smallest_detectable_share is not None and c.smallest_detectable_share < words.BLIND_SHARE)
-        ),
-        key=lambda c: (c.effect not in found, c.smallest_detectable_share or 0.0),
-    )
+    known = [c for c in battery.candidates if c.effect in found or c.smallest_detectable_share is not None]
+    rows = [c for c in known if c.effect in found or (c.smallest_detectable_share or 0.0) < words.BLIND_SHARE]
+    rows.sort(key=lambda c: (c.effect not in found, c.smallest_detectable_share or 0.0))
     blocks: list[web.Block] = []
     if rows:
         names = [web.label(c.effect) for c in rows][::-1]
@@ -210,14 +204,10 @@ def _next(battery: BatteryDiagnosis) -> list[web.Block]:
 
 
 def _details(battery: BatteryDiagnosis) -> list[web.Block]:
-    blocks: list[web.Block] = [
-        web.Table(
-            ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"],
-            [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
-            "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery",
-            3,
-        )
-    ]
+    heads = ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"]
+    shifts = [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration]
+    caption = "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery"
+    blocks: list[web.Block] = [web.Table(heads, shifts, caption, 3)]
     if battery.confounding:
         blocks.append(_alike(battery))
     if battery.heldout is not None:
@@ -318,26 +308,14 @@ def _improvement(one: Improved, better: str, command: str) -> list[web.Block]:
         charts.append(web.Chart([steps, noise], layout, caption, 360))
     better_w = bool(one.added) and last.power_rmse_w < first.power_rmse_w
     tone: web.Tone = "bad" if one.worse else "warn" if not one.complete else "good" if better_w else "neutral"
-    table = web.Table(
-        ["model", "energy error, %", "power error (RMS), W"],
-        [[s.name, f"{s.energy_error_pct:.2f}", told] for s, told in zip(one.steps, powers, strict=True)],
-        f"Errors on {which}, step by step",
-    )
-    tiles = web.Tiles(
-        [
-            ("Added", str(len(one.added)), ", ".join(one.added)),
-            ("Power error", f"{rounded(first.power_rmse_w)} → {watts(last.power_rmse_w)}", which),
-            ("Noise floor", f"{power_of_floor(one.steps)} W", "noise, and runs whose meters and drives differ"),
-        ]
-    )
+    rows = [[s.name, f"{s.energy_error_pct:.2f}", told] for s, told in zip(one.steps, powers, strict=True)]
+    caption = f"Errors on {which}, step by step"
+    table = web.Table(["model", "energy error, %", "power error (RMS), W"], rows, caption)
+    cards = [("Added", str(len(one.added)), ", ".join(one.added))]
+    cards.append(("Power error", f"{rounded(first.power_rmse_w)} → {watts(last.power_rmse_w)}", which))
+    cards.append(("Noise floor", f"{power_of_floor(one.steps)} W", "noise, and runs whose meters and drives differ"))
+    tiles = web.Tiles(cards)
     typed = [web.Command(command)] if command else []
     said = [web.Paragraph(line) for line in told if line]
-    return [
-        web.Verdict(text, tone),
-        *typed,
-        tiles,
-        *said,
-        *charts,
-        table,
-        web.Paragraph(measured_note(one), small=True),
-    ]
+    measured = web.Paragraph(measured_note(one), small=True)
+    return [web.Verdict(text, tone), *typed, tiles, *said, *charts, table, measured]

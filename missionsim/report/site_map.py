@@ -69,13 +69,8 @@ def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:
             continue
         place = ends[i].end if i in ends else place
         visited = segment.kind == "inspect" or (segment.kind == "wait" and segment.label != "wait")
-        steps.append(
-            (
-                "visit" if visited else segment.kind,
-                place,
-                {name: float(charge[last]) for name, charge in result.charge_wh.items()},
-            )
-        )
+        kind = "visit" if visited else segment.kind
+        steps.append((kind, place, {name: float(charge[last]) for name, charge in result.charge_wh.items()}))
     capacity = {name: battery.capacity_wh for name, battery in result.batteries.items()}
     order, charges = _stops(steps, capacity)
     title = f"{result.mission}, {result.robot}: {verdict}; charge of {' / '.join(capacity)}"
@@ -237,17 +232,17 @@ def layout(environment: EnvironmentSpec) -> tuple[dict[str, tuple[float, float]]
         number = seen[pair] = seen.get(pair, -1) + 1
         begin, end = np.array(places[edge.from_]), np.array(places[edge.to])
         along = np.linspace(0.0, 1.0, 41)[:, None]
-        line = begin + along * (end - begin)
+        way = begin + along * (end - begin)
         if number:
             aside = np.array([-(end - begin)[1], (end - begin)[0]]) * (1.0 if edge.from_ == pair[0] else -1.0)
-            line = line + 0.14 * ((number + 1) // 2) * (1 if number % 2 else -1) * 4 * along * (1 - along) * aside
-        curves[index] = line
+            way = way + 0.14 * ((number + 1) // 2) * (1 if number % 2 else -1) * 4 * along * (1 - along) * aside
+        curves[index] = way
     return places, curves
 
 
-def shifted(line: Points, forward: bool, by: float) -> Points:
+def shifted(way: Points, forward: bool, by: float) -> Points:
     """A line in the direction of travel, to the right of where it lies."""
-    made = line if forward else line[::-1]
+    made = way if forward else way[::-1]
     ahead = made[-1] - made[0]
     length = float(np.hypot(*ahead))
     return made + by * np.array([ahead[1], -ahead[0]]) / length if length else made

@@ -13,7 +13,7 @@ import numpy as np
 
 from missionsim.effects.covariates import Labels
 from missionsim.engine.outcome import RunResult
-from missionsim.files import Json, atomic_write, csv_cell, to_json, write_text
+from missionsim.files import Json, atomic_write, csv_cell, fields_of, to_json, write_text
 from missionsim.inputs.mission import MissionSpec
 
 Table = Mapping[str, Sequence[Any]]
@@ -44,9 +44,7 @@ def intervals_table(result: RunResult) -> dict[str, Sequence[object]]:
     line = result.timeline
     names = np.array([segment.name for segment in result.segments] or [""], dtype=object)
     table: dict[str, Sequence[object]] = {
-        "start_s": line.start_s.tolist(),
-        "duration_s": line.duration_s.tolist(),
-        "segment": line.segment.tolist(),
+        **{name: getattr(line, name).tolist() for name in ("start_s", "duration_s", "segment")},
         "segment_name": names[line.segment].tolist() if len(line) else [],
     }
     for name, column in line.columns.items():
@@ -119,13 +117,8 @@ def energy_table(result: RunResult) -> dict[str, Sequence[object]]:
 def summary_table(result: RunResult) -> dict[str, Sequence[object]]:
     """One row a battery."""
     rows = [vars(battery) for battery in result.batteries.values()]
-    table: dict[str, Sequence[object]] = {
-        "mission": [result.mission] * len(rows),
-        "robot": [result.robot] * len(rows),
-        "feasible": [result.feasible] * len(rows),
-        "duration_s": [result.duration_s] * len(rows),
-        "distance_m": [result.distance_m] * len(rows),
-    }
+    same = fields_of(result, "mission robot feasible duration_s distance_m")
+    table: dict[str, Sequence[object]] = {name: [value] * len(rows) for name, value in same.items()}
     for name in rows[0] if rows else ():
         table["battery" if name == "name" else name] = [row[name] for row in rows]
     return table

@@ -292,11 +292,8 @@ def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fau
 
 def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: bool) -> Iterator[Fault]:
     try:
-        cells = (
-            next(csv.reader([line], delimiter=dialect.delimiter, strict=True))
-            if dialect.quoted
-            else line.split(dialect.delimiter)
-        )
+        reader = csv.reader([line], delimiter=dialect.delimiter, strict=True)
+        cells = next(reader) if dialect.quoted else line.split(dialect.delimiter)
     except (csv.Error, StopIteration):
         yield Fault(file, number, 1, "the line cannot be split into cells (an open quote?)", got=line[:60])
         return

@@ -325,15 +325,9 @@ _PRINTED_BEGIN = re.compile(rb"(?:[^\n{]{0,200}\n){0,9}\{[\"']\w+[\"']: ")
 _BROKER_BEGIN = re.compile(rf"{_BEFORE.pattern}|(?=\d{{4}}-|\d{{9,19}}[ .]){_PLAIN.pattern}\n".encode())
 
 
+_OBJECT = (b"{", b"\xef\xbb\xbf{")
 READERS = (
-    Reader(
-        "jsonlines",
-        "JSON lines file",
-        (".jsonl", ".ndjson"),
-        (b"{", b"\xef\xbb\xbf{"),
-        recording=read_json,
-        like=_LIST_BEGIN,
-    ),
+    Reader("jsonlines", "JSON lines file", (".jsonl", ".ndjson"), _OBJECT, recording=read_json, like=_LIST_BEGIN),
     Reader("printed", "file of printed dicts", (), recording=read_json, like=_PRINTED_BEGIN),
     Reader("broker", "file of a broker's messages", (), recording=read_json, like=_BROKER_BEGIN),
 )

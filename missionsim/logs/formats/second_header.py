@@ -96,16 +96,6 @@ def of_the_whole(path: Path, dialect: Dialect) -> list[Fault]:
 def _names(cells: Sequence[str]) -> bool:
     """Whether cells are words as a header has them: each another one, and no number, stamp or unit among them."""
     filled = [cell for cell in cells if cell]
-    return (
-        len(filled) > 1
-        and len({*filled}) == len(filled)
-        and not any(
-            is_number(cell)
-            or cell in MISSING_WORDS
-            or is_stamp(cell)
-            or cell in UNITS
-            or _LABELLED.fullmatch(cell)
-            or not re.match(r"[^\W\d]", cell)
-            for cell in filled
-        )
-    )
+    values = is_number, is_stamp, _LABELLED.fullmatch, MISSING_WORDS.__contains__, UNITS.__contains__
+    words = all(re.match(r"[^\W\d]", cell) and not any(one(cell) for one in values) for cell in filled)
+    return words and len({*filled}) == len(filled) > 1
