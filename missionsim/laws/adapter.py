@@ -63,6 +63,11 @@ class Ground:
         inside = tuple(k for k in self.chosen if any(k in own for _, own in held))
         return replace(self, model=_refitted(self.model, self.design, inside, self.model.noise), held=held)
 
+    def sizes(self, model: Model) -> dict[str, float]:
+        """Part of the energy of each effect found, in a model of their columns with or without a law, which is last."""
+        share = dict(zip(self.chosen, model.gram.shares(model.chosen).tolist(), strict=False))
+        return {name: abs(sum(share[k] for k in columns)) for name, columns in self.held}
+
     def plain(self, noise: noises.Noise) -> noises.Noise:
         """A noise whose weights were not read off the residual: where an unknown law acts, rows look like outliers."""
         return noises.for_rows(self.design, noise)

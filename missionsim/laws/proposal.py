@@ -49,6 +49,8 @@ NO_WORSE = 1.01
 raises the error of left-out runs no further than this, stood in for it as well."""
 LEADS = 0.9
 """So did one in whose place a law alone leaves less than this part of that error."""
+SWOLLEN = 2.0
+"""An effect of more than this many times its size took what was another's (assumed)."""
 TWIN = 0.985
 SAME = 0.9999
 """Correlation with the column of an effect from which on a law has no other form than that effect."""
@@ -176,7 +178,10 @@ def _propose(
             return None
         search, done = _finer(search, done)
         near, beside, fitted, seen = _judged(search, done)
-        told = all(seen.passed.values())
+        # a load carried uphill alone takes the slope's part, beside a law of descents
+        shares = ground.sizes(ground.model)
+        swells = any(now > SWOLLEN * shares[name] for name, now in search.ground.sizes(fitted.model).items())
+        told = all(seen.passed.values()) and not swells
     if told:
         # what has the column of a refused effect is that effect; one whose form is in doubt, or that it has replaced,
         # may have this one, and watts of one of several like loads come with a factor that no converter has
@@ -277,12 +282,10 @@ def _replaced(fitted: Fitted, search: Search) -> tuple[tuple[str, ...], Searched
     ground, looked = search.ground, dict[tuple[str, ...], Searched | None]()
     if not ground.chosen:
         return (), None
-    before, _ = ground.model.gram.coefficients(ground.chosen)
-    after, _ = fitted.model.gram.coefficients(fitted.model.chosen)
+    before, after = ground.sizes(ground.model), ground.sizes(fitted.model)
     out = []
     for name, columns in ground.held:
-        places = [ground.chosen.index(k) for k in columns]
-        was, now = abs(before[places].sum()), abs(after[places].sum())
+        was, now = before[name], after[name]
         if now < max(REPLACED * was, LEAST_SHARE):
             out.append(name)
             continue
