@@ -8,11 +8,11 @@ import numpy as np
 
 from missionsim.identify.data import Constraints
 from missionsim.identify.evidence import cause_changes_in, cause_is_constant, driven_for
-from missionsim.identify.findings import Estimate, Finding
+from missionsim.identify.findings import Estimate, Finding, Structure
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Gram, all_sets, set_gains, single_gains
 from missionsim.identify.model import Model
-from missionsim.identify.residual import ramps
+from missionsim.identify.residual import ramps, stands_without
 from missionsim.identify.settings import (
     ACTS_PART,
     APART,
@@ -180,7 +180,9 @@ def pairs(model: Model) -> Alike:
     return out
 
 
-def estimated(choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Alike) -> tuple[Finding, ...]:
+def estimated(
+    choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: Alike, remains: Sequence[Structure] = ()
+) -> tuple[Finding, ...]:
     """Every effect in the model, the one with the largest gain first.
 
     Parameters
@@ -189,6 +191,8 @@ def estimated(choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: 
         Refitted shape parameters of each effect, with ``.low`` and ``.high`` for their limits.
     alike : Alike
         How well each effect is told from others.
+    remains : sequence of Structure
+        What they leave over.
     """
     model, constraints = choice.model, choice.model.constraints
     value, _ = model.estimate(model.chosen)
@@ -209,7 +213,7 @@ def estimated(choice: Choice, shapes: Mapping[str, Mapping[str, float]], alike: 
             low, high = (shape.get(f"{name}.{end}", shape[name]) for end in ("low", "high"))
             parameters[name] = Estimate(shape[name], low, high, unit)
         share = sum(sizes[k] for k in own)
-        similar = _similar(choice, number, sizes)
+        similar = _similar(choice, number, sizes) or _of_a_form(choice, number, remains)
         # what a component draws is the component's whether it fades after switching on or not: the plain form is named
         family, _, part = candidate.effect.partition(":")
         forms = tuple(name for name in similar if family == "component_power" and name == f"component_warmup:{part}")
@@ -306,6 +310,19 @@ def _shared(model: Model, own: Sequence[int]) -> tuple[str, ...]:
         if most * constraints.sign[k] > 0.0 and kept / alone < KEPT_PART:
             found.append(name)
     return tuple(found)
+
+
+def _of_a_form(choice: Choice, number: int, remains: Sequence[Structure]) -> tuple[str, ...]:
+    """Effects of whose form one in the model may be no more than the fault: a load carried uphill alone had what the
+    descents left over of the slope. In the finer search that puts it in doubt (`rules.demoted`)."""
+    model, constraints = choice.model, choice.model.constraints
+    own, rest = constraints.split(model.chosen, number)
+    if choice.forward is None or constraints.joint[own[0]]:
+        return ()
+    others = [constraints.candidates[n] for n in constraints.numbers(rest)]
+    cause = constraints.candidates[number].covariate
+    wrong = {s.covariate for s in remains if s.covariate != cause and not stands_without(model, own[0], s)}
+    return tuple(one.effect for one in others if one.covariate in wrong)
 
 
 def _similar(choice: Choice, number: int, sizes: Mapping[int, float]) -> tuple[str, ...]:

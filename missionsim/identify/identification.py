@@ -167,7 +167,7 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
             averages = (level,)
     # after the refit of shapes, so that rivals meet the effect at its best
     alike = pairs(model)
-    kept = estimated(choice, shapes, alike)
+    kept = estimated(choice, shapes, alike, rest)
     effects = tuple(one for one in kept if one.effect not in unnamed)
     told_of = {effect.effect for effect in effects}
     confounding = {

@@ -246,6 +246,28 @@ def test_an_effect_that_goes_with_another_from_run_to_run_may_have_a_part_of_it(
     assert estimates._shared(model, [0]) == may_have
 
 
+@pytest.mark.parametrize(
+    ("far", "stands", "levels", "may_be"),
+    [
+        (True, False, False, ("grade",)),
+        (True, True, False, ()),
+        (True, False, True, ()),  # floors are free as they are
+        (False, False, False, ()),  # put in doubt by the finer search
+    ],
+)
+def test_what_a_wrong_form_leaves_over_may_be_what_another_effect_takes(
+    monkeypatch: pytest.MonkeyPatch, far: bool, stands: bool, levels: bool, may_be: tuple[str, ...]
+) -> None:
+    """A load carried uphill alone, beside a slope that relieved a part only: "payload, sure" at twice its size."""
+    monkeypatch.setattr(estimates, "stands_without", lambda *_: stands)
+    effects = [Candidate(name, (name,), covariate=name) for name in ("payload", "grade", "turning")]
+    constraints = Constraints(np.zeros(3, dtype=int), np.arange(3), np.full(3, levels), effects)
+    model = SimpleNamespace(chosen=(0, 1, 2), constraints=constraints)
+    choice = SimpleNamespace(model=model, forward=SimpleNamespace() if far else None)
+    assert estimates._of_a_form(choice, 0, [Structure("grade", 0.0, 0.0, 0.02, "")]) == may_be
+    assert estimates._of_a_form(choice, 1, [Structure("grade", 0.0, 0.0, 0.02, "")]) == ()
+
+
 def test_an_effect_that_is_named_is_no_rival_of_what_may_be_another_form_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         estimates, "_similar", lambda _choice, number, _sizes: ("turning_scrub",) if number == 0 else ()

@@ -11,6 +11,7 @@ import pytest
 from missionsim.identify.gram import Gram
 from missionsim.identify.settings import Settings
 from missionsim.laws import gates, proposal
+from missionsim.laws.adapter import Ground
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.laws.search import Scored, Search
 
@@ -308,14 +309,13 @@ def test_what_stood_in_for_a_law_goes(
     """Turning scrub of 20 % beside a law that saturates with the turn rate."""
 
     def model(*shares: float) -> SimpleNamespace:
-        return SimpleNamespace(
-            chosen=range(len(shares)), gram=SimpleNamespace(coefficients=lambda _: (np.array(shares), None))
-        )
+        return SimpleNamespace(chosen=range(len(shares)), gram=SimpleNamespace(shares=lambda _: np.array(shares)))
 
     law, other = np.eye(2)
     phi = (alike * law + np.sqrt(1.0 - alike**2) * other)[None]
     ground = SimpleNamespace(chosen=(0,), model=model(0.2), design=SimpleNamespace(phi=phi), held=(("scrub", (0,)),))
     ground.without = lambda _: None
+    ground.sizes = lambda model: Ground.sizes(ground, model)
     near, errors = [SimpleNamespace(form=(1,))], {(0,): worse, (1,): bent, (2,): anew}
 
     def fit(form: tuple[int, ...], noise: None = None) -> SimpleNamespace:

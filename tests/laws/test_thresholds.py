@@ -197,6 +197,31 @@ def test_a_laws_size_is_never_surer_than_rows_and_clock_allow(monkeypatch: pytes
         assert made.share_sd == pytest.approx(sd, rel=1e-3)
 
 
+@pytest.mark.parametrize(("size", "told"), [(0.13, True), (0.15, False)])
+def test_a_law_beside_which_an_effect_takes_what_another_one_had_is_none(
+    monkeypatch: pytest.MonkeyPatch, size: float, told: bool
+) -> None:
+    """A law of descents in the place of the slope left the ascents to a load carried uphill alone: 4.8 for 0.5 W per kg
+    and m/s, and 25.9 W on other runs for 5.6."""
+    fitted = found_at_once(monkeypatch, PLAIN)
+    fitted.model = "with the law"
+    search = proposal.Search()
+    near = Scored((0,), 90.0, 0.2, 90.0)
+    monkeypatch.setattr(proposal, "_judged", lambda *_: ([near], [], fitted, Gates(0.01, {})))
+    monkeypatch.setattr(proposal, "_replaced", lambda *_: (("grade",), search.best()))
+    left = SimpleNamespace(sizes=lambda _: {"payload": size})
+    ground = SimpleNamespace(model=None, sizes=lambda _: {"grade": 0.2, "payload": 0.07}, without=lambda _: left)
+    search.ground = ground
+
+    def begun(on: SimpleNamespace, *_: object) -> SimpleNamespace:
+        search.ground = on
+        return search
+
+    monkeypatch.setattr(proposal, "Search", begun)
+    found = SimpleNamespace(noise={}, demoted=(), library=(), unexplained=SimpleNamespace(structures=()))
+    assert (proposal._propose(ground, PLAIN, False, found, once_more=False) is not None) is told
+
+
 @pytest.mark.parametrize(("form", "told"), [((0, 1), False), ((0, 1, 2), True), ((0, 2), True)])
 def test_what_a_drift_may_stand_behind_is_no_law(
     monkeypatch: pytest.MonkeyPatch, form: tuple[int, ...], told: bool
