@@ -242,7 +242,8 @@ def worse(battery: BatteryDiagnosis) -> str:
     """In words, that held-out runs are predicted worse with what was found; else empty."""
     if battery.heldout is None or not (battery.effects or battery.proposed_laws):
         return ""
-    return worse_note(bars_of(battery.heldout, battery.proposed_laws), what="what was found")
+    bars = bars_of(battery.heldout, battery.proposed_laws)
+    return worse_note(bars, ("the effects", "the law"), what="what was found")
 
 
 def base_note(before: Step, recalibrated: Step) -> str:

@@ -190,10 +190,10 @@ def worse_note(
         what = late[0] if len(late) == 1 else f"what came after {added[best - 2]}"
         told = f"from {rounded(bars[best].power_rmse_w)}" if power else told
     powers = f"the power error {told} to {watts(after.power_rmse_w)}"
-    energies = (
-        f"the energy error from {before.energy_error_pct:.2f} % ({recalibrated.energy_error_pct:.2f} % "
-        f"recalibrated) to {after.energy_error_pct:.2f} %"
-    )
+    told = f"{before.energy_error_pct:.2f} % ({recalibrated.energy_error_pct:.2f} % recalibrated)"
+    if best > 1 and added and not energy:  # of the same bar as the power
+        before, told = bars[best], f"{bars[best].energy_error_pct:.2f}"
+    energies = f"the energy error from {told} to {after.energy_error_pct:.2f} %"
     which = "runs that were not used to fit" if heldout else "the fitted runs"
     if power and energy:
         return f"WORSE on {which}: {what} raises {powers} and {energies}."

@@ -319,3 +319,12 @@ def test_a_recalibration_that_is_clearly_better(energy_pct: float, power_w: floa
 def test_what_counts_as_worse(powers_w: tuple[float, ...], energy_pct: float, worse: bool) -> None:
     bars = [Step("", energy_pct if i == len(powers_w) - 1 else 1.0, power) for i, power in enumerate(powers_w)]
     assert bool(worse_note(bars, ["grade", "payload"])) is worse
+
+
+def test_worse_is_told_of_the_bar_that_predicts_best() -> None:
+    """It was "raises the power error from 27.6 W recalibrated to 3.10 W", and the energy "falls"."""
+    pairs = [(17.55, 27.9), (15.01, 27.6), (0.47, 2.89), (2.84, 3.1)]
+    told = worse_note([Step("", *pair) for pair in pairs], ("the effects", "the law"), what="what was found")
+    assert told.endswith(
+        "the law raises the power error from 2.89 to 3.10 W, while the energy error goes from 0.47 to 2.84 %."
+    )
