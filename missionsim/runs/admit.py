@@ -13,9 +13,8 @@ from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.physics import Array
+from missionsim.runs.alike import FEWEST, as_near, beyond, copies
 from missionsim.runs.beside import FEWEST_LEVELS, LOADS, Others, Usual, correlation, offsets, runs_beside
-from missionsim.runs.causes import FEWEST, as_near, beyond
-from missionsim.runs.copies import copies
 from missionsim.runs.covariates import is_switch
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.run import SPEEDS, Run, divided, larger

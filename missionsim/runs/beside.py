@@ -18,7 +18,7 @@ from missionsim.errors import InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.physics import Array
-from missionsim.runs.causes import FEWEST, as_near
+from missionsim.runs.alike import FEWEST, as_near
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive, filled
 from missionsim.runs.run import Run, mended

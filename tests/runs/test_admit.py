@@ -18,7 +18,7 @@ from missionsim.inputs.power import build_power_model
 from missionsim.labels import Labels
 from missionsim.logs import Remark, read_logs
 from missionsim.runs.admit import admit, admit_to_test, unchanging, unfit_runs
-from missionsim.runs.copies import copies
+from missionsim.runs.alike import copies
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 from tests.hidden_effects.study import ALL_CASES

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from missionsim.logs import LogTable
-from missionsim.runs import admit, causes
+from missionsim.runs import admit, alike
 from missionsim.runs.covariates import repeated
 from missionsim.runs.drive import filled
 from missionsim.runs.run import larger, mended
@@ -101,7 +101,7 @@ def test_a_slope_that_no_robot_climbs(usual: float, high: float, told: bool) -> 
 def test_a_run_that_is_where_no_other_is(median: float, elsewhere: list[str]) -> None:
     """The others lie between 2 and 98, and a quarter of that range further on they still say what is usual."""
     others = [run(f"{i}", humidity=np.linspace(0.0, 100.0, 101)) for i in range(3)]
-    assert causes.beyond(run("3", humidity=np.full(50, median)), others) == elsewhere
+    assert alike.beyond(run("3", humidity=np.full(50, median)), others) == elsewhere
 
 
 @pytest.mark.parametrize(
