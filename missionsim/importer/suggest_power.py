@@ -10,16 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.importer import suggest_energy as energy
+from missionsim.importer import suggest_meters as meter
 from missionsim.importer.draft import Draft
 from missionsim.importer.roles import ROLES, Guess, folded, says, words_of
-from missionsim.importer.suggest_meters import (
-    current_alone,
-    from_meters,
-    from_sides,
-    no_power,
-    sides,
-    with_larger_parts,
-)
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
 
@@ -41,20 +34,23 @@ def suggest(draft: Draft) -> None:
     volts = energy.sum_of_cells(draft, volts, not power and bool(amps))
     amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
-    power = power if pair is not None else with_larger_parts(draft, power)
+    power = power if pair is not None else meter.with_larger_parts(draft, power)
     if power and (power[0].score >= 0.9 or pair is None):
         sources = _from_power(draft, power[0], pair)
-    elif pair is not None and (says("all_fed", _called(draft, pair[1].field)) or not sides(draft)):
-        sources = from_meters(draft, pair) or _from_pair(draft, *pair)
+    elif pair is not None and (says("all_fed", _called(draft, pair[1].field)) or not meter.sides(draft)):
+        sources = meter.from_meters(draft, pair) or _from_pair(draft, *pair)
     else:
         sources = (
-            from_sides(draft) or _from_array(draft) or energy.from_counter(draft) or energy.from_charge(draft, volts)
+            meter.from_sides(draft)
+            or _from_array(draft)
+            or energy.from_counter(draft)
+            or energy.from_charge(draft, volts)
         )
-        sources = sources or _from_two_files(draft, volts, amps) or current_alone(draft, volts, amps)
+        sources = sources or _from_two_files(draft, volts, amps) or meter.current_alone(draft, volts, amps)
     if "sides_w" in draft.let and not any(guess.field == "sides_w" for _, guess in draft.columns.values()):
         del draft.let["sides_w"], draft.fields["sides_w"]
     if not sources:
-        no_power(draft, volts)
+        meter.no_power(draft, volts)
         return
     _rows(draft, sources)
     other = [

@@ -17,18 +17,8 @@ from missionsim.errors import InputError
 from missionsim.files import write_text
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import motion
+from missionsim.published import figures as printed
 from missionsim.published import hou2019, jaiem2021, parasuraman2012, rover2025
-from missionsim.published.figures import (
-    ABOUT,
-    HEAD,
-    PAPERS,
-    STATUSES,
-    Item,
-    judge_all,
-    load_figures,
-    numbers_of_robot,
-    shipped_robot,
-)
 
 SCHEMA = "missionsim.reproduction/1"
 Rows = list[dict[str, Any]]
@@ -40,25 +30,25 @@ COLUMNS = ("item", "where", "published", "ours", "unit", "difference", "toleranc
 def papers_of(robots: Sequence[str]) -> list[str]:
     """Papers of the named robots (all if none); a paper's own name counts too. Raises InputError: for a name without a
     paper."""
-    known = {**PAPERS, **{paper: paper for paper in PAPERS.values()}}
+    known = {**printed.PAPERS, **{paper: paper for paper in printed.PAPERS.values()}}
     for name in robots:
         if name not in known:
-            raise InputError.unknown(f"no published robot '{name}'", name, known, allowed=", ".join(PAPERS))
-    return list(dict.fromkeys(known[name] for name in robots)) or list(PAPERS.values())
+            raise InputError.unknown(f"no published robot '{name}'", name, known, allowed=", ".join(printed.PAPERS))
+    return list(dict.fromkeys(known[name] for name in robots)) or list(printed.PAPERS.values())
 
 
-def reproduce_paper(paper: str) -> list[Item]:
+def reproduce_paper(paper: str) -> list[printed.Item]:
     """Every figure of a paper beside ours."""
     module: Any = importlib.import_module(f"missionsim.published.{paper}")
-    return judge_all(paper, {**numbers_of_robot(paper), **module.ours()})
+    return printed.judge_all(paper, {**printed.numbers_of_robot(paper), **module.ours()})
 
 
 def side_tables(paper: str) -> Tables:
     """Tables beside the figures of a paper, by name."""
-    return {name: TABLES[name]() for name in ABOUT[paper].tables}
+    return {name: TABLES[name]() for name in printed.ABOUT[paper].tables}
 
 
-def to_json(items: Iterable[Item], tables: dict[str, Tables] | None = None) -> dict[str, object]:
+def to_json(items: Iterable[printed.Item], tables: dict[str, Tables] | None = None) -> dict[str, object]:
     """The contract's JSON, and beside the items the other tables by paper."""
     return {"schema": SCHEMA, "items": [item.to_json() for item in items], "tables": tables or {}}
 
@@ -80,13 +70,15 @@ def _csv(rows: Rows) -> str:
     return text.getvalue()
 
 
-def counts(items: Sequence[Item]) -> str:
+def counts(items: Sequence[printed.Item]) -> str:
     """How many items have which status, in words."""
     found = Counter(item.status for item in items)
-    return f"{len(items)} figures: " + ", ".join(f"{found[status]} {status}" for status in STATUSES if found[status])
+    return f"{len(items)} figures: " + ", ".join(
+        f"{found[status]} {status}" for status in printed.STATUSES if found[status]
+    )
 
 
-def footnotes(items: Sequence[Item]) -> tuple[list[str], list[str]]:
+def footnotes(items: Sequence[printed.Item]) -> tuple[list[str], list[str]]:
     """Notes of the items as references ([1], [2] …) and the list of distinct notes."""
     notes: dict[str, int] = {}
     references = []
@@ -95,7 +87,7 @@ def footnotes(items: Sequence[Item]) -> tuple[list[str], list[str]]:
     return references, list(notes)
 
 
-def files(items: dict[str, list[Item]], tables: dict[str, Tables]) -> dict[str, str]:
+def files(items: dict[str, list[printed.Item]], tables: dict[str, Tables]) -> dict[str, str]:
     """Every text file of ``results/published``, by name: CSV tables and the Markdown page."""
     result: dict[str, str] = {}
     for paper, found in items.items():
@@ -111,7 +103,9 @@ def files(items: dict[str, list[Item]], tables: dict[str, Tables]) -> dict[str, 
     return result
 
 
-def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pictures: bool = True) -> list[Path]:
+def write(
+    out: Path, items: dict[str, list[printed.Item]], tables: dict[str, Tables], pictures: bool = True
+) -> list[Path]:
     """Write tables, page and pictures into a folder; each file whole or not at all. Gives what was written."""
     texts = files(items, tables)
     for name, text in texts.items():
@@ -125,11 +119,11 @@ def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pi
     return written
 
 
-def page(items: dict[str, list[Item]], tables: dict[str, Tables]) -> str:
+def page(items: dict[str, list[printed.Item]], tables: dict[str, Tables]) -> str:
     """The page for some papers."""
-    parts = [HEAD]
+    parts = [printed.HEAD]
     for paper, found in items.items():
-        about = ABOUT[paper]
+        about = printed.ABOUT[paper]
         parts.append(f"## {about.robot}: {about.title}\n\n{about.reading}\n\n{counts(found)}.\n")
         parts += [f"![{title}]({paper}_{name}.png)\n*{title}*\n" for name, title in about.pictures.items()]
         for name, rows in tables[paper].items():
@@ -162,7 +156,7 @@ SEED, DRAWS = 20210426, 2000
 
 def optimal_velocities() -> Rows:
     """Speed of least robot energy per metre for each set of sensors (Jaiem 2021, Eq. 11)."""
-    robot = shipped_robot("pioneer3dx")
+    robot = printed.shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     c2, c4 = (model.parameters[f"robot/{name}"].value for name in ("c2", "c4"))
     still: dict[str, Any] = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}
@@ -179,7 +173,7 @@ def optimal_velocities() -> Rows:
 
 def stretch_test() -> Rows:
     """Table 5: path stretch of each run, of the other two of its scheme, and the run predicted with the latter."""
-    runs = jaiem2021.runs_of_table5(load_figures("jaiem2021"))
+    runs = jaiem2021.runs_of_table5(printed.load_figures("jaiem2021"))
     left_out = jaiem2021.stretch_left_out(runs)
     return [
         {
@@ -212,7 +206,7 @@ def stretch_summary() -> Rows:
 
 def patrol_errors() -> Rows:
     """Error statistics of the patrol by both definitions, beside the published ones."""
-    figures = load_figures("jaiem2021")
+    figures = printed.load_figures("jaiem2021")
     rows: Rows = []
     for battery in ("robot", "laptop"):
         curve = jaiem2021.error_curve(battery)
@@ -226,7 +220,7 @@ def patrol_errors() -> Rows:
 def patrol_uncertainty() -> Rows:
     """The same statistics when the behaviour is drawn from its causes instead of calibrated."""
     drawn = jaiem2021.uncertain_statistics(DRAWS, SEED)
-    figures = load_figures("jaiem2021")
+    figures = printed.load_figures("jaiem2021")
     rows: Rows = []
     for battery, statistics in drawn.items():
         for name, values in statistics.items():
@@ -244,7 +238,7 @@ def components() -> Rows:
 
 def static_powers() -> Rows:
     """Khepera III: the one solution of the four percentages."""
-    found = parasuraman2012.static_powers(load_figures("parasuraman2012"))
+    found = parasuraman2012.static_powers(printed.load_figures("parasuraman2012"))
     names = ("static power without radio", "Bluetooth", "WiFi", "standing time per metre")
     units = ("W", "W", "W", "s/m")
     return [{"quantity": n, "value": v, "unit": u} for n, v, u in zip(names, found, units, strict=True)]
@@ -254,7 +248,7 @@ def model_errors() -> Rows:
     """Mecanum robot: errors of the paper's own model and of the robot file over the moving samples."""
     return [
         {"model": name, "table": table, "rmse_w": rmse, "mape_pct": mape, "max_pct": most}
-        for name, found in hou2019.model_errors(load_figures("hou2019")).items()
+        for name, found in hou2019.model_errors(printed.load_figures("hou2019")).items()
         for table, (rmse, mape, most) in found.items()
     ]
 

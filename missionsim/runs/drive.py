@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import (
-    WIDTHS_S,
-    Columns,
-    acceleration,
-    between_refreshes,
-    derive,
-    is_moving,
-    speed_noise,
-)
+from missionsim.effects import covariates as derived
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
@@ -284,7 +276,7 @@ def _shown(run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | 
     return run.power_w[battery][last], np.asarray((joules / np.maximum(seconds, 1e-12))[reading])
 
 
-def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> Columns:
+def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> derived.Columns:
     """Covariates of a run without gaps: filled from their neighbours, left out where more than `MOST_MISSING` is gone.
     Both are said in `remarks`."""
     found: dict[str, Any] = {}
@@ -324,14 +316,14 @@ class _Carry:
         if "speed_m_s" in columns and "accel_m_s2" not in columns:
             speed = np.asarray(columns["speed_m_s"], dtype=float)
             if self._noise_m_s is None:
-                self._noise_m_s = speed_noise(between_refreshes(speed, block.time_s))
-            rows = 2 * max(2, int(WIDTHS_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
+                self._noise_m_s = derived.speed_noise(derived.between_refreshes(speed, block.time_s))
+            rows = 2 * max(2, int(derived.WIDTHS_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
             tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
             parts = [(one.time_s[cut], one.columns["speed_m_s"][cut]) for one, cut in tables if one is not None]
             times_s = np.concatenate([part[0] for part in parts])
             speed = np.concatenate([np.asarray(part[1], dtype=float) for part in parts])
             first = 0 if before is None else len(before.time_s[-rows:])
-            accel = acceleration(speed, times_s, self._noise_m_s)
+            accel = derived.acceleration(speed, times_s, self._noise_m_s)
             columns["accel_m_s2"] = accel[first : first + len(block.time_s)]
         for name, value in self._plan.assumed.items():
             columns.setdefault(name, np.full(block.time_s.shape, value))
@@ -343,13 +335,13 @@ class _Carry:
             columns[name] = np.nan_to_num(known)[labels.codes]
         if "speed_m_s" in columns:
             # asked for by every term of the drive
-            columns.setdefault("moving", np.asarray(is_moving(columns)))
-        cov = derive(columns, block.time_s, block.dt_s)
+            columns.setdefault("moving", np.asarray(derived.is_moving(columns)))
+        cov = derived.derive(columns, block.time_s, block.dt_s)
         cov["time_s"] = block.time_s - self._start_s
         if "moving_time_s" in cov and "moving_time_s" not in block.columns:
             motion = ("moving", "speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
             ends = ({name: np.asarray(cov[name])[row] for name in motion if name in cov} for row in (0, -1))
-            begins, goes_on = (bool(is_moving(end)) for end in ends)
+            begins, goes_on = (bool(derived.is_moving(end)) for end in ends)
             cov["moving_time_s"] = cov["moving_time_s"] + self._clocks.get("moving_time_s", 0.0)
             rest = 0.5 * float(block.dt_s[-1]) if goes_on else 0.0
             self._clocks["moving_time_s"] = float(cov["moving_time_s"][-1]) + rest

@@ -30,19 +30,8 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
+from missionsim.uncertainty import intervals as spans
 from missionsim.uncertainty.draws import Draws, Sampler, columns_of, components_of, left_to_chance, simulate_block
-from missionsim.uncertainty.intervals import (
-    PROGRESS_POINTS,
-    Intervals,
-    Part,
-    Progress,
-    charge_course,
-    distance_of,
-    one_after_the_other,
-    parts_of,
-    phases_of,
-    running_sum,
-)
 
 AGREEMENT = 1e-9
 """Largest relative difference to SimPy that is accepted."""
@@ -50,7 +39,7 @@ CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
 MOST_NUMBERS = 2_000_000
 """Numbers of a matrix of runs × intervals; runs are planned and evaluated in parts of at most so many."""
-_PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
+_PARTS = np.linspace(0.0, 1.0, spans.PROGRESS_POINTS)
 # the C library keeps what arrays of up to this size give back, in place of asking the system for each anew (malloc(3):
 # its threshold grows to the largest block that was ever freed)
 _largest = np.empty(24 << 20, dtype=np.uint8)
@@ -67,7 +56,7 @@ class ArrayMission:
     sampler: Sampler
     plan: Plan
     """At the nominal values."""
-    parts: tuple[Part, ...]
+    parts: tuple[spans.Part, ...]
     """What the nominal run consists of: its legs, and waits for components that start up."""
 
     def block(
@@ -137,7 +126,7 @@ class ArrayMission:
 
     def _piece(
         self,
-        intervals: Intervals,
+        intervals: spans.Intervals,
         part: slice,
         setup: RunSetup,
         values: Mapping[str, Array],
@@ -146,7 +135,7 @@ class ArrayMission:
     ) -> None:
         """Evaluate some runs into their part of the columns, in J and Wh."""
         duration = intervals.duration(part)
-        knots = running_sum(duration.T)
+        knots = spans.running_sum(duration.T)
         sound = np.isfinite(knots[-1]) & (duration.min(axis=1) >= 0.0)
         again |= ~sound
         if not sound.all():
@@ -156,8 +145,8 @@ class ArrayMission:
         energy = self._energies(cov, rates, duration, knots, values, parts, intervals.part_of)
         for joules in parts.values():
             joules *= 1.0 / J_PER_WH
-        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], distance_of(cov, duration)
-        progress = Progress(knots, PROGRESS_POINTS)
+        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], spans.distance_of(cov, duration)
+        progress = spans.Progress(knots, spans.PROGRESS_POINTS)
         for name, battery in setup.batteries.items():
             capacity, initial, reserve = (
                 number[part] if isinstance(number, np.ndarray) else number
@@ -168,7 +157,7 @@ class ArrayMission:
                 total = most = fall = given * knots[-1]
                 charge = np.multiply.outer(_PARTS, total)
             else:
-                spent = running_sum(given.T)
+                spent = spans.running_sum(given.T)
                 total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
                 fall = most if given.min() >= 0.0 else greatest_fall(-spent)
             net = total
@@ -176,7 +165,7 @@ class ArrayMission:
                 used = given * duration if isinstance(given, float) else given
                 assert isinstance(battery, ConstantEnergy)
                 store = replace(battery, capacity_j=capacity, initial=initial)
-                *course, fall = charge_course(store, docked, intervals, part, used.T, knots)
+                *course, fall = spans.charge_course(store, docked, intervals, part, used.T, knots)
                 charge, net, most = initial - course[0], initial - course[1], initial - course[2]
             np.subtract(initial, charge, out=charge)
             np.multiply(charge, 1.0 / J_PER_WH, out=columns[f"charge_{name}_wh"].T)
@@ -193,20 +182,24 @@ class ArrayMission:
             ):
                 np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 
-    def split(self, setup: RunSetup) -> tuple[Intervals, Truth]:
+    def split(self, setup: RunSetup) -> tuple[spans.Intervals, Truth]:
         """Intervals of many runs, and which runs have another order of events."""
         whole = all(part.phase is None and not part.waits for part in self.parts)
         if whole and all(leg.recharge is None for leg in self.plan.legs):
-            return Intervals.of(setup.plan), False
-        phases, which, odd = phases_of(setup.plan, self.plan, self.parts, [info.startup_s for info in setup.components])
-        return Intervals.of(setup.plan, phases, which), odd
+            return spans.Intervals.of(setup.plan), False
+        phases, which, odd = spans.phases_of(
+            setup.plan, self.plan, self.parts, [info.startup_s for info in setup.components]
+        )
+        return spans.Intervals.of(setup.plan, phases, which), odd
 
     @functools.cached_property
     def _needs(self) -> frozenset[str]:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
-    def covariates(self, intervals: Intervals, part: slice, duration: Array, knots: Array) -> tuple[Columns, Columns]:
+    def covariates(
+        self, intervals: spans.Intervals, part: slice, duration: Array, knots: Array
+    ) -> tuple[Columns, Columns]:
         """Covariates at the start of each interval and their change per second. `part`: the runs; `duration`: shape
         (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between the intervals."""
         cov, rates = intervals.covariates(part)
@@ -216,7 +209,7 @@ class ArrayMission:
             cov[f"on_{name}"], cov[f"starting_{name}"] = units[intervals.part_of, :, i].T
         if "moving_time_s" in self._needs:
             moving = cov["moving"]
-            cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
+            cov["moving_time_s"] = spans.running_sum((duration * moving).T)[:-1].T
             rates["moving_time_s"] = moving
         start = knots[:-1].T
         for name in names:
@@ -239,7 +232,7 @@ class ArrayMission:
         setup, values = self._planned(self.sampler.at({v.name: np.array([0.3, 0.7]) for v in self.sampler.values}))
         intervals, part = self.split(setup)[0], slice(0, 2)
         duration = intervals.duration(part)
-        cov, rates = self.covariates(intervals, part, duration, running_sum(duration.T))
+        cov, rates = self.covariates(intervals, part, duration, spans.running_sum(duration.T))
         for name in [*(name for name, rate in rates.items() if np.any(rate)), *self.model.lags]:
             cov[name] = np.broadcast_to(cov.get(name, 0.0), duration.shape) + np.array([[0.0], [1.0]])
         kept, still = list[Term](), {name: dict[str, Array]() for name in self.model.batteries}
@@ -285,7 +278,7 @@ class ArrayMission:
         curved, steady, steady_s = np.flatnonzero(changing), duration, lasts
         inside: dict[str, dict[TermKey, Array]] = {}
         if curved.size:
-            flat = one_after_the_other(cov, rates, duration, knots, curved)
+            flat = spans.one_after_the_other(cov, rates, duration, knots, curved)
             own = {name: np.repeat(value[:, 0], curved.size) for name, value in values.items()}
             inside = integrate(model, flat, own, AGREEMENT)
             steady = np.where(changing, 0.0, duration)
@@ -330,7 +323,7 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
     """Compile a mission for evaluation as arrays. Gives the compiled mission, or in words why its runs need SimPy."""
     try:
         setup = RunSetup(mission, make_plan(mission), model, {}, {})
-        parts = _obstacle(setup) or parts_of(setup)
+        parts = _obstacle(setup) or spans.parts_of(setup)
     except MissionsimError as error:
         parts = f"the nominal mission fails: {error}"
     if isinstance(parts, str):

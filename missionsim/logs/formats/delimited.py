@@ -20,20 +20,8 @@ from missionsim.errors import Fault, InputError
 from missionsim.files import unreadable
 from missionsim.labels import Labels
 from missionsim.logs.codes import Tally
+from missionsim.logs.formats import dialect as style
 from missionsim.logs.formats.arrays import elements, flattened, with_elements
-from missionsim.logs.formats.dialect import (
-    MISSING_WORDS,
-    Dialect,
-    count_rows,
-    field_position,
-    has_cut_end,
-    has_utf8,
-    is_comment,
-    is_number,
-    line_finder,
-    one_byte_encoding,
-    sniff,
-)
 from missionsim.logs.formats.second_header import of_the_whole, refuse_second_header
 from missionsim.logs.raw import RawTable, Remark, from_arrow, leave_out_codes, measures, tallies_of, wanted_kind
 from missionsim.logs.readers import Options, Reader
@@ -109,22 +97,22 @@ def _in_its_encoding(path: Path, options: Options, use: Callable[[_File], Result
 
     encoding, told = None, list[Remark]()
     while True:
-        dialect = sniff(path, options.header, options.delimiter, options.typed, encoding)
+        dialect = style.sniff(path, options.header, options.delimiter, options.typed, encoding)
         dialect.remarks[:0] = told
         try:
             return use(_File(path, dialect, options.typed))
         except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
-            if encoding or dialect.encoding != "utf-8" or _is_utf8(path) or has_utf8(data := path.read_bytes()):
+            if encoding or dialect.encoding != "utf-8" or _is_utf8(path) or style.has_utf8(data := path.read_bytes()):
                 raise InputError(_explain(path, dialect, options.typed, str(error))) from None
-            encoding = one_byte_encoding(data, told)
+            encoding = style.one_byte_encoding(data, told)
 
 
 class _File:
     """One text table, opened with Arrow's streaming reader."""
 
-    def __init__(self, path: Path, dialect: Dialect, typed: bool) -> None:
+    def __init__(self, path: Path, dialect: style.Dialect, typed: bool) -> None:
         self.path, self.dialect, self.typed = path, dialect, typed
-        self.cut = has_cut_end(path, dialect)
+        self.cut = style.has_cut_end(path, dialect)
         with open(path, "rb") as handle:
             handle.seek(-1, 2)
             self.ended = handle.read(1) in b"\r\n\0"  # UTF-16 ends in a zero byte
@@ -135,7 +123,7 @@ class _File:
         self.skipped: list[int] = []
         self.comments = 0
         self.block_bytes = _BLOCK_BYTES
-        self.lines = line_finder(path, dialect)
+        self.lines = style.line_finder(path, dialect)
         self.schema: Any = None
 
     def tables(self, wants: Callable[[str], bool] | None, rows: float) -> Iterator[RawTable]:
@@ -198,7 +186,7 @@ class _File:
             convert = arrow_csv.ConvertOptions(
                 include_columns=chosen,
                 column_types={name: kind for name, kind in types.items() if name in chosen},
-                null_values=list(MISSING_WORDS),
+                null_values=list(style.MISSING_WORDS),
                 strings_can_be_null=True,
                 decimal_point=self.dialect.decimal,
                 true_values=["true", "True", "TRUE"],
@@ -209,7 +197,7 @@ class _File:
         kinds = {"number": pa.float64(), "text": pa.dictionary(pa.int32(), pa.string())}
         wanted = {name: wanted_kind(name) for name in names} if self.typed else {}
         first = dict(zip(names, self.dialect.first, strict=False)).get("time_s", "0")
-        if not is_number(first) and is_stamp(first):  # a date or a time of day
+        if not style.is_number(first) and is_stamp(first):  # a date or a time of day
             wanted.pop("time_s", None)
         fixed = {name: kinds[kind] for name, kind in wanted.items() if kind in kinds}
         fixed |= dict.fromkeys(words, pa.string())
@@ -253,14 +241,14 @@ class _File:
         """ArrowInvalid where rows of the file are not in the table: an open quotation mark swallows what follows."""
         import pyarrow as pa
 
-        counted = self.dialect.quoted and rows + len(self.skipped) != count_rows(self.path, self.dialect)
+        counted = self.dialect.quoted and rows + len(self.skipped) != style.count_rows(self.path, self.dialect)
         if len(self.skipped) > 1 or counted:
             raise pa.ArrowInvalid(
                 "rows are lost in it: a quotation mark that does not end, or rows of the wrong length"
             )
 
 
-def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fault]:
+def _explain(path: Path, dialect: style.Dialect, typed: bool, reason: str) -> list[Fault]:
     """Find by a slow second reading what stopped the fast one: each bad cell with line and column."""
     if whole := of_the_whole(path, dialect):
         return whole
@@ -269,7 +257,7 @@ def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fau
     try:
         with open(path, encoding=dialect.encoding, newline="") as handle:
             for number, line in itertools.islice(enumerate(handle, start=1), dialect.header_line, None):
-                row = bool(line.strip()) and not is_comment(line, dialect)
+                row = bool(line.strip()) and not style.is_comment(line, dialect)
                 rows += row
                 found = list(_line_faults(line.rstrip("\r\n"), number, file, dialect, typed)) if row else []
                 more += len(found[_MOST_FAULTS - len(faults) :])
@@ -290,7 +278,7 @@ def _explain(path: Path, dialect: Dialect, typed: bool, reason: str) -> list[Fau
     return faults or [Fault(file, 0, 0, f"the table cannot be read: {reason.splitlines()[0][:200]}")]
 
 
-def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: bool) -> Iterator[Fault]:
+def _line_faults(line: str, number: int, file: str, dialect: style.Dialect, typed: bool) -> Iterator[Fault]:
     try:
         reader = csv.reader([line], delimiter=dialect.delimiter, strict=True)
         cells = next(reader) if dialect.quoted else line.split(dialect.delimiter)
@@ -306,10 +294,13 @@ def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: boo
         return
     for index, (name, cell) in enumerate(zip(dialect.names, cells, strict=True)):
         word = cell.strip()
-        if wanted_kind(name) != "number" or word in MISSING_WORDS or (name == "time_s" and is_stamp(word)):
+        if wanted_kind(name) != "number" or word in style.MISSING_WORDS or (name == "time_s" and is_stamp(word)):
             continue
-        if not is_number(word.replace(",", ".") if dialect.decimal == "," else word) or "_" in word:
-            at, allowed = field_position(line, dialect.delimiter, index), "a number, or nothing for a missing value"
+        if not style.is_number(word.replace(",", ".") if dialect.decimal == "," else word) or "_" in word:
+            at, allowed = (
+                style.field_position(line, dialect.delimiter, index),
+                "a number, or nothing for a missing value",
+            )
             yield Fault(file, number, at, "this is not a number", name, word[:40] or "''", allowed)
 
 
