@@ -290,9 +290,7 @@ def improve(
 
     split = _split(robot, logs, holdout)
     done = run_improve(robot_text(robot), split, battery, Settings(), lambda finding, diagnosis: True)
-    steps = [
-        {"step": s.name, "power_rmse_w": s.power_rmse_w, "energy_error_pct": s.energy_error_pct} for s in done.steps
-    ]
+    steps = [fields_of(s, "step=name power_rmse_w energy_error_pct") for s in done.steps]
     line = f"{battery}: added {done.told}; {done.stopped}"
     data = {"schema": "missionsim.improvement/1", "holdout": split.how, "batteries": {battery: done.to_json()}}
     return Answer(done, line, lambda: steps, lambda: data, ("step", "power_rmse_w"), done.text)

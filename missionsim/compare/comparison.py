@@ -122,9 +122,7 @@ class BatteryComparison(RunError):
             way = "more" if error > 0.0 else "less"
             count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
             gives = f"{abs(error):.1f} % {way} energy than was" if abs(error) >= 0.05 else "the energy that was"
-            each = (
-                f" (single runs are off by {self.run_energy_error_pct:.1f} % on average)" if len(self.runs) > 1 else ""
-            )
+            each = f" (single runs are off by {self.run_energy_error_pct:.1f} % on average)" * (len(self.runs) > 1)
             first = f"Over {count} the model gives {gives} measured on battery {self.battery}{each}; {power}"
             if factor := thousandfold(self.energy_measured_wh, self.energy_model_wh):
                 first += f" Measured is about {factor} of modelled: is the meter's unit the watt?"
@@ -181,7 +179,5 @@ class Comparison:
             "robot": self.robot,
             "mission": self.mission or None,
             **fields_of(self, "runs batteries notes left_out rows"),
-            "logs": [
-                {"run": run, "file": source, "sha256": sha256(source) if source else None} for run, source in self.logs
-            ],
+            "logs": [{"run": run, "file": file, "sha256": sha256(file) if file else None} for run, file in self.logs],
         }

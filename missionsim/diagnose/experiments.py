@@ -226,6 +226,4 @@ def worst_lead(bench: Bench, constraints: Constraints, gram: Gram, names: Sequen
 
 def _columns(bench: Bench, effect: str) -> list[int]:
     candidates = bench.features.candidates
-    return [
-        k for k, column in enumerate(bench.model.design.layout.columns) if candidates[column.candidate].effect == effect
-    ]
+    return [k for k, c in enumerate(bench.model.design.layout.columns) if candidates[c.candidate].effect == effect]

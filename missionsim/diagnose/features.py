@@ -331,9 +331,7 @@ def _refuse_nonsense(own: Sequence[Effect], runs: Sequence[Covariates]) -> None:
         for cov in runs:
             numbers = [np.asarray(cov[name], dtype=float) for name in effect.needs if not isinstance(cov[name], Labels)]
             known = np.isfinite(np.broadcast_arrays(cov["time_s"], *numbers)).all(axis=0)
-            power = effect.alone(
-                cov, {spec.name: spec.default for spec in effect.shape} | {effect.coefficient.name: 1.0}
-            )
+            power = effect.alone(cov, {one.name: one.default for one in effect.shape} | {effect.coefficient.name: 1.0})
             bad += int(np.sum(known & ~np.isfinite(np.asarray(power, dtype=float))))
             rows += int(np.sum(known))
         if bad:

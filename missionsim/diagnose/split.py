@@ -109,9 +109,7 @@ def choose_split(
         for log in logs:
             meets = np.broadcast_to(np.asarray(condition.evaluate(log.columns), dtype=float), (len(log),))
             shares.append(float(np.nansum(meets * log.dt_s) / np.sum(log.dt_s)))
-        held, train = (
-            tuple(log for log, s in zip(logs, shares, strict=True) if (s >= 0.5) == out) for out in (True, False)
-        )
+        held, train = (tuple(x for x, s in zip(logs, shares, strict=True) if (s >= 0.5) == of) for of in (True, False))
         if not held or not train:
             which = "no run" if not held else "every run"
             raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
@@ -251,9 +249,7 @@ def _of_one_side(fitted: Sequence[Run], others: Sequence[Run]) -> tuple[list[str
     """Switches that are on in fitted runs and that none of the others logs, and the other way round."""
     if not fitted or not others:
         return [], []
-    sides = [
-        [(name, run.number(name)) for run in own for name in filter(is_switch, run.columns)] for own in (fitted, others)
-    ]
+    sides = [[(n, run.number(n)) for run in own for n in filter(is_switch, run.columns)] for own in (fitted, others)]
     (here, here_on), (there, there_on) = (({n for n, _ in own}, {n for n, on in own if on.any()}) for own in sides)
     return sorted(here_on - there), sorted(there_on - here)
 

@@ -107,12 +107,8 @@ def _items(value: Value, site: Site) -> list[Item]:
         inner = value.get("TransectStyleComplexItem") or value
         found = [item for entry in inner.entries("Items") for item in _items(entry, site)]
         if not found:  # what writers other than QGroundControl leave out; the points that it draws are the same way
-            points = [
-                [number.number() for number in point.entries()[:2]] for point in inner.entries("VisualTransectPoints")
-            ]
-            found = [
-                Item(WAYPOINT, [None] * 4 + point + [None], 3, 0, value.line) for point in points if len(point) == 2
-            ]
+            points = [[n.number() for n in point.entries()[:2]] for point in inner.entries("VisualTransectPoints")]
+            found = [Item(WAYPOINT, [None] * 4 + pair + [None], 3, 0, value.line) for pair in points if len(pair) == 2]
         site.tell(f"{kind}: {'its waypoints are driven' if found else 'left out, it holds no waypoints'}", value.line)
         return found
     command = value.need("command")

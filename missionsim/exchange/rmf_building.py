@@ -252,9 +252,7 @@ def _project(levels: dict[str, _Level], site: Site, mercator: bool) -> None:
     """Degrees (x is the longitude) or web Mercator to metres around the middle. Web Mercator: the editor draws the
     world 256 wide, y downwards; larger numbers are metres."""
     degrees: list[tuple[_Vertex, tuple[float, float]]] = []
-    every = [
-        (vertex, vertex.point) for level in levels.values() for vertex in level.vertices if vertex.point is not None
-    ]
+    every = [(one, one.point) for level in levels.values() for one in level.vertices if one.point is not None]
     drawn = all(0 <= point.real <= 256 and 0 <= -point.imag <= 256 for _, point in every)
     shift, unit = (complex(-128, 128), math.pi * EARTH_M / 128) if drawn else (0j, 1.0)
     for vertex, point in every:

@@ -245,10 +245,8 @@ class Site:
         return self._text(head, lines)
 
     def _text(self, head: Mapping[str, str], lines: Iterable[str]) -> str:
-        told = [f"{key}: {flow(value)}" for key, value in head.items() if value]
-        return "\n".join(
-            [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site", *told, *lines, ""]
-        )
+        top = [f"{key}: {flow(value)}" for key, value in head.items() if value]
+        return "\n".join([f"# from {Path(self.file).name} ({self.format}) by missionsim import-site", *top, *lines, ""])
 
 
 def write_site(site: Site, out: str | Path, mission: str | Path | None = None, robot: str = "") -> None:

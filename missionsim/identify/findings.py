@@ -153,10 +153,8 @@ class Finding:
         """The contract's fields, and ours beside them."""
         data = fields_of(self, "effect parameters energy_share")
         data["energy_share_interval"] = [self.share_low, self.share_high]
-        names = (
-            "energy_share_given_back=back p_value p_value_runs=p_runs level heldout_rmse_before_w heldout_rmse_after_w"
-        )
-        data |= fields_of(self, f"{names} indistinguishable_from other_forms shared_with separation_nats")
+        data |= fields_of(self, "energy_share_given_back=back p_value p_value_runs=p_runs level heldout_rmse_before_w")
+        data |= fields_of(self, "heldout_rmse_after_w indistinguishable_from other_forms shared_with separation_nats")
         data["absorbed_share"] = self.absorbed
         return data | {name: text for name, text in (("scheme", self.scheme), ("remark", self.doubt)) if text}
 

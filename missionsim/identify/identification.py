@@ -169,10 +169,8 @@ def _told(choice: Choice, given_runs: int, given: bool = False) -> Identificatio
     alike = pairs(model)
     kept = estimated(choice, shapes, alike, rest)
     effects = tuple(one for one in kept if one.effect not in unnamed)
-    told_of = {effect.effect for effect in effects}
-    confounding = {
-        a: {b: r for b, (r, _) in row.items() if math.isfinite(r)} for a, row in alike.items() if a in told_of
-    }
+    found = {effect.effect for effect in effects}
+    confounding = {a: {b: r for b, (r, _) in row.items() if math.isfinite(r)} for a, row in alike.items() if a in found}
     noise, layout = model.noise, model.design.layout
     shifts, covariance = model.estimate(model.chosen)
     told = ("fast_s", "slow_s", "fast_share", "slow_share", "offset_w", "gain", "motion_gain")

@@ -112,9 +112,7 @@ class _Likelihood:
         half = np.linalg.solve(factor, total[:, 1 : self.fixed, :1])[:, :, 0]
         rss = total[:, 0, 0] - np.sum(half**2, axis=1)
         det = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - self.log_precision
-        own = np.array(
-            [self._of_noise(self.shape(x), *row[:4]) for x, row in zip(places, levels.tolist(), strict=True)]
-        )
+        own = np.array([self._of_noise(self.shape(x), *r[:4]) for x, r in zip(places, levels.tolist(), strict=True)])
         return np.asarray(log_det + rss + det + own)
 
     def _of_noise(self, shape: noises.Shape, sigma_w: float, offset_w: float, gain: float, motion_gain: float) -> float:

@@ -40,11 +40,14 @@ class Draft:
     _totals: dict[str, str] = field(default_factory=dict)
     """Helper that is a sum → what it is called as a field."""
 
+    @property
+    def told(self) -> set[str]:
+        """Fields that some column tells."""
+        return {name for _, guess in self.columns.values() for name in guess.field.split("\n")}
+
     def best(self, role: str, least: float = 0.3) -> list[Guess]:
         """The guesses for a role, best first, also of fields that another role fits better."""
-        used = {name for _, guess in self.columns.values() for name in guess.field.split("\n")} | set(
-            self.signals.values()
-        )
+        used = self.told | {*self.signals.values()}
         guesses = [guess_role(one, ROLES[role]) for one in self.fields.values() if one.name not in used]
         found = [guess for guess in guesses if guess is not None and guess.score > least]
         return sorted(found, key=lambda guess: (-guess.score, len(guess.field)))

@@ -60,9 +60,7 @@ def words_of(name: str) -> tuple[str, str]:
         return "", own  # or km/h
     if re.match(r"(power )?(VDD|POM|VIN)_|Power TOT\Z", text, re.IGNORECASE) and not re.search(r"[\[(]|_m?W\Z", text):
         return f"power {text.split(' ')[-1].lower().replace('_', ' ')}", "mW"  # the rails of a Jetson
-    if match := re.match(
-        r"(ms|us|µs|ns|millis|micros|nanos|secs?)(?:[_ ](?=today|since|time)|\Z)", text, re.IGNORECASE
-    ):
+    if match := re.match(r"(ms|us|µs|ns|millis|micros|nanos|secs?)(?:[_ ](?=today|since|time)|\Z)", text, re.I):
         return f"time {text[match.end() :].lower()}".strip(), known_unit(match[1].lower())
     if match := re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*(?:#\d+)?\Z", text):
         index = re.search(r"\w\[\d+\]\Z", text)  # ``q[1]``

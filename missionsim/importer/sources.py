@@ -110,9 +110,7 @@ def _listed(path: Path, folders: Collection[str]) -> Collection[str]:
 
 def _is_source(path: Path) -> bool:
     """Whether a folder is one source, as a bag is."""
-    return path.is_dir() and any(
-        reader.folder and (path / reader.folder).exists() for reader in reading.registry().values()
-    )
+    return path.is_dir() and any(one.folder and (path / one.folder).exists() for one in reading.registry().values())
 
 
 def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:

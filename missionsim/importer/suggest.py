@@ -124,7 +124,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot", components: Colle
     elif table is None:
         from_names(draft, paths)
     draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
-    used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")}
+    used = draft.told
     formulas = [*draft.let.values(), *(formula for formula, _ in draft.columns.values())]
     used |= set(re.findall(r"\w+", " ".join(formulas)))
     return Suggestion(
@@ -247,9 +247,7 @@ def _joined(paths: Mapping[Path, Sequence[Path]]) -> Draft:
             comment = f"  # {time.sure}: {time.why}"
             if own.time_s is not None and (long := recognised(own.fields, own.time_s)) is not None:
                 mixed = reader.table(path, Options(most=_MOST_ROWS, mixed=True))
-                fields = [
-                    Field(name, len(rows), values, own.time_s[rows]) for name, rows, values in signals_of(mixed, long)
-                ]
+                fields = [Field(n, len(rows), values, own.time_s[rows]) for n, rows, values in signals_of(mixed, long)]
                 more = {"title": path.name}
                 keys = {"name": f"[{', '.join(map(quoted, long.name))}]", "value": quoted(long.value)}
                 keys |= {"unit": quoted(long.unit)} if long.unit else {}

@@ -40,9 +40,7 @@ def net(draft: Draft, guess: Guess, alias: str, told: bool = False) -> tuple[Gue
         known = other[np.isfinite(other)]
         flow = float(known[-1] - known[0]) if guess.role == "energy" else float(known.sum())
         sign, ratio = "+" if flow < 0 else "-", size_of(back[0].unit) / size_of(guess.unit)
-        formula = f"{ref} {sign} {draft.ref(back[0].field, f'{alias}_back')}" + (
-            f" * {ratio:g}" if ratio != 1.0 else ""
-        )
+        formula = f"{ref} {sign} {draft.ref(back[0].field, f'{alias}_back')}" + f" * {ratio:g}" * (ratio != 1.0)
         why = f"{guess.why}; what goes back, '{back[0].field}', is subtracted"
         return replace(guess, sure="likely", why=why), formula
     if told and alike:

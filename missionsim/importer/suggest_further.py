@@ -25,9 +25,7 @@ every signal has come."""
 
 def suggest(draft: Draft) -> None:
     """Add numbers that change and have no place yet; and all that a table of runs says."""
-    used = {name for _, guess in draft.columns.values() for name in guess.field.split("\n")} | set(
-        draft.signals.values()
-    )
+    used = draft.told | {*draft.signals.values()}
     left = [one for name, one in draft.fields.items() if name not in used]
     of_runs = [one for one in left if one.name.startswith("runs.") and "table:" in draft.head.get("runs", "")]
     known = [draft.fields[name] for name in used if name in draft.fields]

@@ -39,9 +39,7 @@ def _stem(name: str, kind: str) -> str:
 def _pairs(draft: Draft) -> list[tuple[str, str]]:
     """Voltages and currents whose names differ in what they measure alone; of channels nobody knows what they feed."""
     named = {kind: [(name, _stem(name, kind)) for name in names] for kind, names in _named(draft).items()}
-    pairs = (
-        (volts, amps, stem) for volts, stem in named["voltage"] for amps, other in named["current"] if stem == other
-    )
+    pairs = ((volts, amps, stem) for volts, stem in named["voltage"] for amps, same in named["current"] if stem == same)
     return [(volts, amps) for volts, amps, stem in pairs if not re.search(r"\bch(annel)? ?\d", stem)]
 
 

@@ -161,9 +161,7 @@ class EnvironmentSpec(DescribedFile):
 
     def opened(self, name: str | None = None) -> EnvironmentSpec:
         """The environment with all that is closed open, or with the edge or place of that name open."""
-        edges = tuple(
-            edge.model_copy(update={"closed": False}) if name in (None, edge.name) else edge for edge in self.edges
-        )
+        edges = tuple(e.model_copy(update={"closed": False}) if name in (None, e.name) else e for e in self.edges)
         places = {
             key: place.model_copy(update={"closed": False}) if name in (None, key) else place
             for key, place in self.places.items()

@@ -225,9 +225,7 @@ def _boards(robot: RobotSpec) -> Iterator[Term]:
         given["processor.idle"] = model_parameter(robot.processor.idle)
     if given:
         effect = base_terms.processor_term(tuple(entries), columns, idle, robot.processor.fallback == "refuse")
-        yield Term(
-            TermKey(robot.processor.battery, "processor", "processor"), effect, given, {name: name for name in given}
-        )
+        yield Term(TermKey(robot.processor.battery, "processor", "processor"), effect, given, {n: n for n in given})
 
 
 def _effects(robot: RobotSpec) -> Iterator[Term]:

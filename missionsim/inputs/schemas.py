@@ -60,9 +60,7 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
             "default": None,
             "description": effect["properties"]["effect"]["description"],
         }
-        effect["allOf"] = [
-            _rule("effect", name, get_effect(name).parameters, "^k_" * (name in FLOORS)) for name in plain
-        ]
+        effect["allOf"] = [_rule("effect", one, get_effect(one).parameters, "^k_" * (one in FLOORS)) for one in plain]
     if battery := definitions.get("BatterySpec"):
         options = battery["properties"]["model"]["anyOf"]
         battery["properties"]["model"]["anyOf"] = [

@@ -221,7 +221,6 @@ _COARSE, _TURNS, _APART = 20, 5, 3.0
 what a value changes by from time to time that it differs by between them (assumed)."""
 ELECTRIC = ("power_", "voltage_", "current_", "energy_")
 """How columns of a battery begin."""
-_APART_HINT = "a map with runs: {by: [the column that tells them apart]}"
 
 
 def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np.int64]) -> None:
@@ -242,12 +241,8 @@ def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np
             continue
         change, apart = (float(np.nanmedian(one)) for one in both)
         if apart > _APART * change and change > 0.0:
-            told = (
-                f"rows of several recordings in turn: {name} differs by {apart:.4g} at one time, by {change:.4g} after"
-            )
-            raise InputError(
-                Fault(rows.raw.file, line, 0, told, "time_s", allowed="one recording a file", hint=_APART_HINT)
-            )
+            told = f"rows of several recordings in turn: {name} differs by {apart:.4g} at one time"
+            raise InputError(_several(rows.raw.file, line, f"{told}, by {change:.4g} after", "time_s"))
 
 
 def _turns(data: Array) -> bool:
@@ -295,7 +290,12 @@ def refuse_turns(columns: Mapping[str, ColumnData], file: str, line: int) -> Non
     first row."""
     if apart := in_turn(columns):
         told = f"rows of several recordings in turn: {' and '.join(apart)} jump back and forth"
-        raise InputError(Fault(file, line, 0, told, apart[0], allowed="one recording a file", hint=_APART_HINT))
+        raise InputError(_several(file, line, told, apart[0]))
+
+
+def _several(file: str, line: int, told: str, column: str) -> Fault:
+    hint = "a map with runs: {by: [the column that tells them apart]}"
+    return Fault(file, line, 0, told, column, allowed="one recording a file", hint=hint)
 
 
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:

@@ -155,9 +155,7 @@ def leave_out_codes(raw: RawTable, tallies: Mapping[str, Tally] | None = None) -
         if not found or isinstance(data, Labels):
             continue
         raw.columns[name] = without(data, found)
-        raw.remarks += codes_told(
-            name, tally.rows, [one for one in found if 0 <= one[2] - raw.first_row < raw.rows], raw
-        )
+        raw.remarks += codes_told(name, tally.rows, [x for x in found if 0 <= x[2] - raw.first_row < raw.rows], raw)
     return raw
 
 

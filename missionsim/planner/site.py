@@ -245,9 +245,7 @@ class Charger:
                 if 0.0 < seconds < math.inf:
                     made.append(self.after(x, np.array([seconds]), level))
             return made
-        curves = [
-            (x[2 + b], curve[0][::-1], curve[1][::-1]) for b, curve in enumerate(self._curves) if curve is not None
-        ]
+        curves = [(x[2 + b], c[0][::-1], c[1][::-1]) for b, c in enumerate(self._curves) if c is not None]
         times = [bends - np.interp(missing, known, bends) for missing, known, bends in curves]
         knots = np.unique(np.concatenate([np.empty(0), *times]))
         knots = knots[knots > 0.0]

@@ -102,9 +102,7 @@ def _law(battery: BatteryDiagnosis) -> list[web.Block]:
             }
             held = f", {fixed} held" if fixed else ""
             blocks.append(web.Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
-        rows = [
-            [i, one.formula, one.k, one.low, one.high, one.unit, one.behind_nats] for i, one in enumerate(law.laws, 1)
-        ]
+        rows = [[i, of.formula, of.k, of.low, of.high, of.unit, of.behind_nats] for i, of in enumerate(law.laws, 1)]
         columns = ["form", "formula", "k", "from", "to", "unit of k", "nats behind"]
         caption = "Forms that these data cannot tell apart; their numbers serve add-effect --formula"
         blocks.append(web.Table(columns, rows, caption, 3))

@@ -260,9 +260,7 @@ def energy_figure(result: RunResult) -> Figure:
     """Energy of each segment by component, one panel a battery; repetitions of a segment are added up."""
     groups = result.repeats()
     names = list(result.batteries)
-    totals = {
-        label: sum(float(result.by_segment_wh(n)[members].sum()) for n in names) for label, members in groups.items()
-    }
+    totals = {label: sum(float(result.by_segment_wh(n)[of].sum()) for n in names) for label, of in groups.items()}
     kept = set(sorted(totals, key=lambda label: -totals[label])[:MOST_BARS])
     labels = [label for label in groups if label in kept]
     height = max(2.4, 0.26 * len(labels) + 1.2)

@@ -92,9 +92,7 @@ def map_of_plan(answer: Answer) -> SiteMap:
     environment = task.environment
     shut = {name for name, choice in task.edges.items() if choice.closed}
     if shut:
-        edges = tuple(
-            edge.model_copy(update={"closed": edge.closed or edge.name in shut}) for edge in environment.edges
-        )
+        edges = tuple(one.model_copy(update={"closed": one.closed or one.name in shut}) for one in environment.edges)
         environment = environment.model_copy(update={"edges": edges})
     title = f"{task.name}, {task.robot.name}; charge of {' / '.join(capacity)}"
     visits = {visit.place: (VISIT, "visit, in this order") for visit in task.visits}
@@ -204,10 +202,8 @@ def site_chart(site: SiteMap) -> Chart:
 
 
 def _edge(way: Points, style: Mapping[str, Any], name: str, text: str, known: bool) -> dict[str, Any]:
-    told = f"{text}<extra></extra>"
-    return line(
-        way[:, 0], way[:, 1], name, line=dict(style), showlegend=not known, legendgroup=name, hovertemplate=told
-    )
+    tip = f"{text}<extra></extra>"
+    return line(way[:, 0], way[:, 1], name, line=dict(style), showlegend=not known, legendgroup=name, hovertemplate=tip)
 
 
 def layout(environment: EnvironmentSpec) -> tuple[dict[str, tuple[float, float]], dict[int, Points]]:

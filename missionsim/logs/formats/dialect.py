@@ -59,9 +59,7 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
         width = collections.Counter(map(len, shapes.values())).most_common(1)[0][0]
         usual = collections.Counter(shape for shape in shapes.values() if len(shape) == width).most_common(1)[0][0]
         value = [k for k, sort in enumerate(usual) if sort == "1"]
-        rows = [
-            i for i, shape in shapes.items() if len(shape) == width and {"1"} <= {shape[k] for k in value} <= {"0", "1"}
-        ]
+        rows = [i for i, s in shapes.items() if len(s) == width and {"1"} <= {s[k] for k in value} <= {"0", "1"}]
         order = list(shapes)
         while len(rows) > 1 and "1" not in shapes[after := order[order.index(rows[0]) + 1]] and after not in rows:
             rows.pop(0)  # numbers of devices between the names of several lines (Motive)
@@ -153,9 +151,7 @@ def sniff(
     names = tuple(header) or cells
     between = [i for i in range(skipped + 1, rows) if lines[i].strip()]  # of which there may be empty ones about it
     if between and len(units := cells_of(lines[between[-1]], delimiter)) == len(names):
-        names = tuple(
-            f"{name} [{unit.strip('[]() ')}]" if unit else name for name, unit in zip(names, units, strict=True)
-        )
+        names = tuple(f"{n} [{unit.strip('[]() ')}]" if unit else n for n, unit in zip(names, units, strict=True))
         note("a line of units stands under the names", "each unit was written behind its name", between[-1] + 1)
     headless = not header and all(is_number(name) or not name for name in names)
     if not header and len(body) > 3 and (shape := _shape(cells)).count("1") > 1:  # numbers where the rows have theirs

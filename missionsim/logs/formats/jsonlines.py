@@ -178,9 +178,7 @@ def _rows_in(found: Any) -> Iterator[dict[str, Any]]:
     # as long as the times, where there are such
     length = max((len(one) for name, one in columns.items() if name.lower() in _TIMES and len(one) > 1), default=0)
     length = length or max((len(one) for one in columns.values() if len(one) >= _LEAST_ROWS), default=0)
-    inner = [
-        one for one in found.values() if isinstance(one, dict) and any(isinstance(of, list) for of in one.values())
-    ]
+    inner = [one for one in found.values() if isinstance(one, dict) and any(isinstance(x, list) for x in one.values())]
     objects = max((one for one in lists if all(isinstance(item, dict) for item in one)), key=len, default=[])
     if len(objects) > length:
         yield from objects
@@ -240,9 +238,7 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     remarks += stamps.remarks
     known = np.isfinite(stamps.seconds)
     title = "VDA 5050 state" if "serialNumber" in messages[0] and "headerId" in messages[0] else ""
-    return Topic(
-        name, stamps.seconds[known], {field: data[known] for field, data in columns.items()}, title, len(messages)
-    )
+    return Topic(name, stamps.seconds[known], {f: data[known] for f, data in columns.items()}, title, len(messages))
 
 
 def _inner_time(messages: list[dict[str, Any]], names: Sequence[str]) -> str | None:

@@ -203,9 +203,7 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
             name, level = f"{topic}[{status.name}]", status.level
             if wanted is None or any(field.startswith(f"{name}.") for field in wanted):
                 number = float(level[0] if isinstance(level, (bytes, bytearray)) else level)
-                told.append(
-                    (name, [("level", number), *((item.key, item.value) for item in status.values if item.key)])
-                )
+                told.append((name, [("level", number), *((one.key, one.value) for one in status.values if one.key)]))
         return told
     state = [("state", message.goal_state.label)] if hasattr(message, "goal_state") else []
     if wanted is None:

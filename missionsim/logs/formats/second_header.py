@@ -34,9 +34,7 @@ def refuse_second_header(raw: RawTable, names: Sequence[str]) -> None:
                 words.setdefault(int(np.argmax(labels.codes == code)), {})[name] = word
     first = next(iter(raw.columns.values()))
     if isinstance(first, Labels):  # `#datatype,long,…` above each table that Influx writes
-        words = {
-            row: found for row, found in words.items() if not (first[row : row + 1].texts()[0] or "").startswith("#")
-        }
+        words = {row: of for row, of in words.items() if not (first[row : row + 1].texts()[0] or "").startswith("#")}
     numbers = [name for name, data in raw.columns.items() if isinstance(data, np.ndarray)]
     again: set[int] = set()
     for row, found in sorted(words.items()):
