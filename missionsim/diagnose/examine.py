@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.diagnose.features import Features, at_size, beside_base, make_features, steady_speed
+from missionsim.diagnose.features import Features, at_size, beside_base, make_features
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.manoeuvres import sharpest
 from missionsim.diagnose.split import Split, lacking, stretches, with_same_causes
+from missionsim.diagnose.steady import steady_speed, steady_temperatures
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
@@ -150,7 +151,8 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     train, left_out = with_same_causes(measured, batteries, own)
     train, thinned = stretches(train)
     switchable = subject.switchable(battery)
-    features = make_features(subject.model, [steady_speed(log) for log in train], battery, own, switchable=switchable)
+    steady = [steady_speed(steady_temperatures(log)) for log in train]
+    features = make_features(subject.model, steady, battery, own, switchable=switchable)
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
         raise InputError.single(
             f"battery '{battery}': the measured power never changes in any run, so that nothing can be learned from it",

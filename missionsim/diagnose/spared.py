@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from missionsim.diagnose.steady import steady_temperatures
 from missionsim.effects.library import all_effects
 from missionsim.identify.predictive import left_by_others
 from missionsim.identify.settings import TOLD_APART
@@ -28,7 +29,7 @@ def spared(logs: Sequence[Run], count: int) -> tuple[list[int], list[str]]:
 
     Runs that were driven to tell two causes apart would be held out as the last, and never be learnt from.
     """
-    names, sums = _causes(logs)
+    names, sums = _causes([steady_temperatures(log) for log in logs])
     total = sums.sum(axis=0)
     whole = left_by_others(total, 1)
     asked = whole > TOLD_APART * np.diag(whole)[:, None]

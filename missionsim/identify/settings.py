@@ -73,6 +73,11 @@ STRETCH_S = 600.0
 
 # Noise of the logged speed
 
+TEMPERATURE_S = 60.0
+"""Time over which the median of a temperature is taken [s] (assumed): it changes over minutes, its sensor's noise from
+row to row."""
+TEMPERATURE_ROWS = 60
+"""Means of so many stretches of it stand for the rows of a faster log."""
 SLOW_ROWS_S = 0.4
 """Faster logs average the noise of their speed within an analysis interval of about a second."""
 SPEED_ROWS = 2

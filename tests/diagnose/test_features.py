@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose.examine import Subject, examine
-from missionsim.diagnose.features import Features, make_features, steady_speed
+from missionsim.diagnose.features import Features, make_features
+from missionsim.diagnose.steady import steady_speed, steady_temperatures
 from missionsim.diagnose.split import Split
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
@@ -151,6 +152,22 @@ def test_noise_of_a_cruising_speed_is_averaged_out_and_steps_stay() -> None:
     erratic = drive(1, speed_m_s=true + 5.0 * (noisy - true))  # a tenth of the speed from row to row is no noise
     assert steady_speed(fast) is fast
     assert steady_speed(erratic) is erratic
+
+
+@pytest.mark.parametrize("step_s", [1.0, 0.01])
+def test_a_temperature_is_as_slow_as_what_surrounds_the_robot(step_s: float) -> None:
+    """Of a thermometer that jumps by 1 degC the cold was lost: "payload, sure", 2.9 % of the energy off for 0.6 %."""
+    rows = int(300 / step_s)
+    true = np.where(np.arange(rows) < rows // 2, 20.0, 4.0)  # out of the hall
+    noisy = true + np.random.default_rng(4).normal(0.0, 1.0, rows)
+    run = drive(1, seconds=300.0, step_s=step_s, temp_ambient_c=noisy, speed_m_s=noisy)
+    steady = steady_temperatures(run)
+    left = steady.number("temp_ambient_c") - true
+    assert np.sqrt(np.mean(left**2)) < 0.4
+    assert np.abs(left).max() < 2.0
+    np.testing.assert_array_equal(steady.number("speed_m_s"), noisy)
+    noisy[3] = np.nan
+    np.testing.assert_array_equal(steady_temperatures(run).number("temp_ambient_c"), noisy)
 
 
 @pytest.mark.parametrize("seed", range(3))
