@@ -9,8 +9,8 @@ import pytest
 
 from missionsim.diagnose.examine import Subject, examine
 from missionsim.diagnose.features import Features, make_features
-from missionsim.diagnose.steady import steady_speed, steady_temperatures
 from missionsim.diagnose.split import Split
+from missionsim.diagnose.steady import steady_speed, steady_temperatures
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.fit.calibrate import NewRobot, calibrate_new
@@ -164,10 +164,11 @@ def test_a_temperature_is_as_slow_as_what_surrounds_the_robot(step_s: float) -> 
     steady = steady_temperatures(run)
     left = steady.number("temp_ambient_c") - true
     assert np.sqrt(np.mean(left**2)) < 0.4
-    assert np.abs(left).max() < 2.0
+    assert np.abs(left).max() < 4.0  # at the gate, the last row of one side or the other
     np.testing.assert_array_equal(steady.number("speed_m_s"), noisy)
-    noisy[3] = np.nan
-    np.testing.assert_array_equal(steady_temperatures(run).number("temp_ambient_c"), noisy)
+    gap = np.where(np.arange(rows) == 3, np.nan, noisy)
+    run = drive(1, seconds=300.0, step_s=step_s, temp_ambient_c=gap)
+    np.testing.assert_array_equal(steady_temperatures(run).number("temp_ambient_c"), gap)
 
 
 @pytest.mark.parametrize("seed", range(3))
