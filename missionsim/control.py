@@ -14,13 +14,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from missionsim.effects import named_models
 from missionsim.errors import InputError
 from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import Array, electrical, f64
+from missionsim.physics import Array, Bools, electrical, f64
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -147,7 +147,7 @@ class PowerPredictor:
         """Batches that come per second."""
         return self._cpu()["batch_rate"]
 
-    def meets_service(self, speed_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> NDArray[np.bool_]:
+    def meets_service(self, speed_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> Bools:
         """Whether every batch is processed before the next comes (to 1e-9)."""
         return np.asarray(
             self.loop_time(speed_m_s, freq_hz, complexity) * self._cpu()["batch_rate"] <= 1.0 + 1e-9, dtype=bool

@@ -22,6 +22,7 @@ T = TypeVar("T")
 K = TypeVar("K")
 Json = dict[str, Any]
 """A JSON object."""
+PathLike = str | os.PathLike[str]
 
 
 def is_device(path: Path) -> bool:
@@ -30,7 +31,7 @@ def is_device(path: Path) -> bool:
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: PathLike) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it is renamed to `path`, on failure removed.
 
     A link stays a link, and a device or pipe (``/dev/null``, ``/dev/stdout``) is written to, never replaced. `path`:
@@ -57,7 +58,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _begin(path: str | os.PathLike[str]) -> tuple[Path, bool, Path]:
+def _begin(path: PathLike) -> tuple[Path, bool, Path]:
     """What a path leads to, whether that is a device, and an empty temporary file beside it."""
     final = Path(path)
     special = is_device(final)
@@ -99,7 +100,7 @@ def grouped(items: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
     return found
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: PathLike, text: str) -> None:
     """Write `text` to `path` as UTF-8, whole or not at all."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -125,7 +126,7 @@ def plain(value: object, digits: int | None = None) -> object:
     return value
 
 
-def sha256(path: str | os.PathLike[str]) -> str:
+def sha256(path: PathLike) -> str:
     """SHA-256 of a file's bytes, as 64 hexadecimal digits."""
     with open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

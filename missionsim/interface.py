@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar
 
-from missionsim.files import Json, fields_of, write_text
+from missionsim.files import Json, PathLike, fields_of, write_text
 from missionsim.identify.settings import ALPHA
 from missionsim.numerals import counted, in_wh, rounded, watts
 
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 P = ParamSpec("P")
-PathLike = str | os.PathLike[str]
 Logs = PathLike | Sequence[PathLike]
 Values = Mapping[str, object]
 _ROWS = 20

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from missionsim.effects.covariates import Covariates
 from missionsim.labels import Labels
-from missionsim.physics import Array, f64
+from missionsim.physics import Array, Int64s, f64
 
 MAX_CELLS = 400
 """Cells of a numeric axis before the grid is made ten times coarser."""
@@ -66,7 +66,7 @@ class _Sums:
         """Seconds, energy gap and squared error of one battery in each cell."""
         return {what: self._of(f"{battery}:{what}") for what in ("seconds", "gap", "square")}
 
-    def _gather(self, cells: NDArray[np.int64], sums: Mapping[str, Array]) -> None:
+    def _gather(self, cells: Int64s, sums: Mapping[str, Array]) -> None:
         """Add what lies in some cells."""
         new = np.zeros(len(cells))
         every = {key: np.append(self._of(key), sums.get(key, new)) for key in self._sums | dict(sums)}
@@ -86,7 +86,7 @@ class _Axis(_Sums):
         super().__init__()
         self.name, self.title, self.unit = name, title, unit
 
-    def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
+    def add(self, cells: Int64s, weights: Mapping[str, Array]) -> None:
         """Add each of the `weights` to the sum of its key in the cells given by `place` for the same rows."""
         met, sums = _by_cell(cells, weights)
         self._gather(met + self._offset, sums)
@@ -105,7 +105,7 @@ class NumberAxis(_Axis):
         self._exponent: int | None = None
         self._most = -math.inf
 
-    def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
+    def place(self, column: ArrayLike | Labels) -> Int64s | None:
         """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN. Returns None where no row has a
         number, such as where the column is text in this run and a number in others."""
         if isinstance(column, Labels):
@@ -179,7 +179,7 @@ class LabelAxis(_Axis):
         super().__init__(name, title, "")
         self._codes: dict[str, int] = {}
 
-    def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
+    def place(self, column: ArrayLike | Labels) -> Int64s | None:
         """Code of each row's value, shape (n,); -1 where it is missing."""
         if isinstance(column, Labels):
             table = np.array([self._code(name) for name in column.names] + [-1], dtype=np.int64)
@@ -213,7 +213,7 @@ class LabelAxis(_Axis):
 Axis = NumberAxis | LabelAxis
 
 
-def _by_cell(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> tuple[NDArray[np.int64], dict[str, Array]]:
+def _by_cell(cells: Int64s, weights: Mapping[str, Array]) -> tuple[Int64s, dict[str, Array]]:
     """Cells with rows, in order, and the sum of each weight in them; rows with cell -1 are left out."""
     low, high = int(cells.min()), int(cells.max())
     if low == high:
@@ -291,7 +291,7 @@ class PlaceGrid(_Sums):
         return self.cells(battery, max(1, -(-side // 8)))
 
 
-def _joined(cells: NDArray[np.int64], sums: Mapping[str, Array]) -> tuple[NDArray[np.int64], dict[str, Array]]:
+def _joined(cells: Int64s, sums: Mapping[str, Array]) -> tuple[Int64s, dict[str, Array]]:
     """Each cell once, in order, with the sums of all that are the same."""
     found, which = np.unique(cells, axis=0, return_inverse=True)
     return found, {key: f64(np.bincount(which.ravel(), values)) for key, values in sums.items()}

@@ -14,14 +14,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import is_clock
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline, integrate
 from missionsim.files import Json, fields_of
 from missionsim.glossary import STILL_SPEED_M_S
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 from missionsim.runs import motion
 from missionsim.runs.error import ErrorStatistics
 
@@ -39,12 +38,12 @@ class Stages:
     timeline: Timeline
     battery: str
 
-    def energy(self, members: NDArray[np.bool_]) -> float:
+    def energy(self, members: Bools) -> float:
         """Energy of the battery in the intervals `members` [J]."""
         energies = integrate(self.model, self.timeline)[self.battery]
         return float(sum(float(joules[members].sum()) for joules in energies.values()))
 
-    def stretched(self, members: NDArray[np.bool_], way_m: float) -> Stages:
+    def stretched(self, members: Bools, way_m: float) -> Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
         distance = self.timeline.ways_m()
         chosen = members & self._driving()
@@ -57,7 +56,7 @@ class Stages:
         factor = max(0.0, (way_m - float(distance[chosen & ~cruise].sum())) / length)
         return self._lasting(np.where(cruise, factor, 1.0))
 
-    def at_speed(self, members: NDArray[np.bool_], speed_m_s: float) -> Stages:
+    def at_speed(self, members: Bools, speed_m_s: float) -> Stages:
         """The same way at another mean speed: time runs faster or slower while driving."""
         chosen = members & self._driving()
         duration = float(self.timeline.duration_s[chosen].sum())
@@ -77,7 +76,7 @@ class Stages:
         faster = replace(self, timeline=replace(self.timeline, columns=columns, rates=rates))
         return faster._lasting(1.0 / factor, stretch_rates=False)
 
-    def standing_for(self, members: NDArray[np.bool_], seconds: float) -> float:
+    def standing_for(self, members: Bools, seconds: float) -> float:
         """Energy with `seconds` at rest, at the power of the planned rest or, without one, of driving at speed zero."""
         standing = members & self._standing()
         planned = float(self.timeline.duration_s[standing].sum())
@@ -107,11 +106,11 @@ class Stages:
         start = np.cumsum(duration) - duration
         return replace(self, timeline=replace(line, start_s=start, duration_s=duration, columns=columns, rates=rates))
 
-    def _driving(self) -> NDArray[np.bool_]:
+    def _driving(self) -> Bools:
         still = {"speed_m_s": np.zeros(len(self.timeline))}
         return np.asarray(motion.speed_of({**still, **motion.middle_of(self.timeline)}) > 0.0)
 
-    def _standing(self) -> NDArray[np.bool_]:
+    def _standing(self) -> Bools:
         turning = motion.middle_of(self.timeline).get("yaw_rate_rad_s", np.zeros(len(self.timeline)))
         return np.asarray(~self._driving() & (np.asarray(turning) == 0.0))
 

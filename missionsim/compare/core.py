@@ -19,6 +19,7 @@ from missionsim.compare.where import Accumulator, RunSums, Series, dependences
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import integrate
 from missionsim.errors import Fault, InputError
+from missionsim.files import PathLike
 from missionsim.inputs import load_mission, load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import find_logs, iter_blocks, read_logs
@@ -78,7 +79,6 @@ LARGE_FILE_BYTES = 32_000_000
 """Files from this size on are read in blocks, so that memory stays bounded."""
 BLOCK_ROWS = 65_536
 COMPARED = "unlike the others beside this model, and in the numbers, since every model is compared on the same runs"
-PathLike = str | os.PathLike[str]
 
 
 def compare(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.compare.axes import Axis, Bin, LabelAxis, NumberAxis, PlaceGrid
 from missionsim.effects.covariates import is_text
@@ -15,7 +14,7 @@ from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of
 from missionsim.labels import Labels
 from missionsim.numerals import watts
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.runs.covariates import COVARIATES, is_switch, may_be_cause
 from missionsim.runs.drive import Driven
 from missionsim.runs.error import RunError
@@ -40,7 +39,7 @@ class Series:
     """Rows in a bucket (except the last of a block)."""
 
     def add(
-        self, time_s: Array, seconds: Array, measured_w: Array, model_w: Array, segment: NDArray[np.int64] | None = None
+        self, time_s: Array, seconds: Array, measured_w: Array, model_w: Array, segment: Int64s | None = None
     ) -> None:
         """Append the rows of a block, arrays of shape (n,); `segment` is a code, -1 where there is none."""
         error = model_w - measured_w
@@ -121,7 +120,7 @@ class Accumulator:
     def add(self, run: str, block: Driven) -> None:
         """Add the rows of a block of `run`."""
         self.rows += len(block.time_s)
-        placed: list[tuple[Axis, NDArray[np.int64]]] = []
+        placed: list[tuple[Axis, Int64s]] = []
         for column, fresh in _axis_columns(run, block, self._by):
             axis = self.axes.setdefault(fresh.name, fresh)
             if (cells := axis.place(column)) is not None:

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Covariates, is_text
 from missionsim.effects.model import PowerModel
@@ -19,7 +18,7 @@ from missionsim.identify.model import prediction
 from missionsim.identify.settings import CLEAR_OF_NOISE, CLEAR_T, MOST_OF_SQUARE, SEVERAL_RUNS, SMALL_TIME
 from missionsim.labels import Labels
 from missionsim.numerals import rounded, watts
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Ints
 from missionsim.runs.covariates import COVARIATES, may_be_cause, repeated
 from missionsim.runs.error import errors_of
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
@@ -132,13 +131,7 @@ def _driving(known: Sequence[Covariates]) -> list[list[Array]]:
 
 
 def standing_out(
-    error_w: Array,
-    seconds: Array,
-    run: NDArray[np.intp],
-    rows: NDArray[np.bool_],
-    *,
-    noise_w: float,
-    mean_power_w: float,
+    error_w: Array, seconds: Array, run: Ints, rows: Bools, *, noise_w: float, mean_power_w: float
 ) -> Structure | None:
     """The kind of motion with most of the squared error in a small part of the time, if its mean is clear of noise.
 

@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels as Labels
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 from missionsim.physics import Value as Value
 from missionsim.runs.covariates import clock_of, is_switch
 
-Truth = bool | NDArray[np.bool_]
+Truth = bool | Bools
 """Yes or no, or an array of them."""
 Covariates = Mapping[str, Any]
 """Glossary name → `Value`, or a str / `Labels` for text columns."""
@@ -104,7 +103,7 @@ def derive(columns: Covariates, time_s: Array, dt_s: Array) -> Columns:
     return cov
 
 
-def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
+def elapsed(active: Bools, dt_s: Array, *, reset: bool) -> Array:
     """Time spent active up to the middle of each row [s], shape (n,). `active`: shape (n,); `dt_s`: shape (n,);
     `reset`: whether the clock starts again from zero at each switching on."""
     spent = np.where(active, dt_s, 0.0)

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Labels, Value, is_clock
 from missionsim.effects.model import PowerModel, TermKey
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Int64s, Ints
 from missionsim.physics.lag import GOES_ON, SETTLED, Lagged, halving_helps
 
 
@@ -29,7 +28,7 @@ class Timeline:
     """Covariate at the start of each interval: number arrays of shape (..., n) or `Labels` of n."""
     rates: Mapping[str, Array] = field(default_factory=dict)
     """Change per second of a covariate inside the interval (speed in a ramp, ``moving_time_s``); 0 where absent."""
-    segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    segment: Int64s = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Segment of the mission; -1 before and after. Shape (n,)."""
     lags: Mapping[str, Array] = field(default_factory=dict)
     """First-order lags of a model at the start of each interval, where these are known (`with_lags`). Shape (n,)."""
@@ -46,7 +45,7 @@ class Timeline:
         """Covariates at the start of the intervals."""
         return {**self.columns, **self.lags}
 
-    def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> Columns:
+    def at(self, index: Ints, offset_s: Array, memory: frozenset[str] | None = None) -> Columns:
         """Covariates of the intervals `index` at times after their start.
 
         `index`: shape (m,). `offset_s` (shape (m, q)): times after the start of each of them. `memory`: the clocks that
@@ -66,7 +65,7 @@ class Timeline:
                     cov[name] = cov[name] + change[:, None] * offset_s
         return cov
 
-    def changing(self, model: PowerModel) -> NDArray[np.bool_]:
+    def changing(self, model: PowerModel) -> Bools:
         """Intervals in which something that matters changes with time, shape (n,): with lags in all; clocks
         (``moving_time_s`` …) that no term of the model reads are ignored."""
         result = np.full(len(self), bool(model.lags))
@@ -75,7 +74,7 @@ class Timeline:
                 result |= np.asarray(self.rates[name]) != 0.0
         return result
 
-    def ways_m(self) -> NDArray[np.float64]:
+    def ways_m(self) -> Array:
         """Way driven in each interval [m], forward and sideways."""
         time, none = self.duration_s, np.zeros(len(self))
 
@@ -203,7 +202,7 @@ def integrate(
     return energies
 
 
-def _of_rows(values: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
+def _of_rows(values: Mapping[str, Any], index: Ints) -> dict[str, Any]:
     return {name: value[index][:, None] if np.ndim(value) else value for name, value in values.items()}
 
 
@@ -230,14 +229,14 @@ def with_lags(
 
 
 def _solved(
-    model: PowerModel, line: Timeline, which: NDArray[np.intp], values: Mapping[str, Any], begin: Mapping[str, Array]
+    model: PowerModel, line: Timeline, which: Ints, values: Mapping[str, Any], begin: Mapping[str, Array]
 ) -> dict[str, Lagged]:
     """The lags that a model reads over some intervals. `begin`: of each lag, what it is where each interval begins, or
     how that follows."""
     length = line.duration_s[which]
 
     def made(name: str) -> Lagged:
-        def signal(index: NDArray[np.intp], seconds: Array) -> Array:
+        def signal(index: Ints, seconds: Array) -> Array:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 x = model.lagging(name, line.at(which[index], seconds), _of_rows(values, which[index]))
             return np.broadcast_to(np.asarray(x, dtype=float), seconds.shape)
@@ -249,11 +248,7 @@ def _solved(
 
 
 def within(
-    model: PowerModel,
-    line: Timeline,
-    index: NDArray[np.intp],
-    seconds: Array,
-    values: Mapping[str, Value] | None = None,
+    model: PowerModel, line: Timeline, index: Ints, seconds: Array, values: Mapping[str, Value] | None = None
 ) -> Columns:
     """`Timeline.at` for a model: with the clocks and the lags that it reads."""
     cov = line.at(index, seconds, model.memory)
@@ -268,7 +263,7 @@ def _quadrature(
     model: PowerModel,
     timeline: Timeline,
     values: Mapping[str, Any],
-    index: NDArray[np.intp],
+    index: Ints,
     offset: Array,
     length: Array,
     energies: dict[str, dict[TermKey, Array]],

@@ -13,12 +13,11 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline, integrate, within
 from missionsim.engine.curves import adaptive_runge_kutta, chebyshev, interpolants, root
-from missionsim.physics import Array, Value
+from missionsim.physics import Array, Bools, Int64s, Ints, Value
 
 CHARGE_TOLERANCE = 1e-9
 """Of the capacity: a charge that is less below empty, or below a reserve, is so by rounding."""
@@ -41,7 +40,7 @@ class Loads:
     """The intervals."""
     energy_j: Array
     """Of all terms. Shape (n,)."""
-    charging: NDArray[np.int64]
+    charging: Int64s
     """0 alone, 1 charging, 2 held at its level by the charger. Shape (n,)."""
     charger_w: Array
     """Power of the charger while charging. Shape (n,)."""
@@ -50,7 +49,7 @@ class Loads:
     """Parameters that differ from the model's."""
 
     @cached_property
-    def changing(self) -> NDArray[np.bool_]:
+    def changing(self) -> Bools:
         """Whether the power changes within each interval, or an impulse begins it, shape (n,)."""
         return self.line.changing(self.model) | (np.asarray(self.line.columns["starts"]) > 0.0)
 
@@ -65,7 +64,7 @@ class Loads:
     def _pieces(self) -> dict[int, tuple[list[float], list[list[float]]]]:
         """Of the intervals in which power changes; see `interpolants`."""
 
-        def sample(index: NDArray[np.intp], seconds: Array) -> Array:
+        def sample(index: Ints, seconds: Array) -> Array:
             cov = within(self.model, self.line, index, seconds, self.values)
             power = self.model.total(cov, self.battery, self.values)
             return np.broadcast_to(np.asarray(power, dtype=float), seconds.shape)
@@ -186,7 +185,7 @@ class ConstantEnergy:
             bends.append((clock, state))
         return [*bends, (seconds, state)]
 
-    def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
+    def suspects(self, before: Array, after: Array, loads: Loads) -> Ints:
         """Intervals that end below zero, by more than rounding."""
         return np.flatnonzero(after < -CHARGE_TOLERANCE * self.capacity_j)
 
@@ -284,7 +283,7 @@ class EquivalentCircuit:
         """Time at which the state of charge comes to `level`."""
         return self._first(state, loads, interval, horizon_s, lambda s, _: s - level)
 
-    def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
+    def suspects(self, before: Array, after: Array, loads: Loads) -> Ints:
         """Intervals whose margin is not certainly positive: the voltage may fall long before the charge ends.
 
         Certain by bounds: of the power, so of the current at the curve's lowest voltage, so of the state and of the

@@ -6,21 +6,18 @@ from collections.abc import Callable
 from math import isfinite, nan
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.physics.lag import halving_helps
 
-Sample = Callable[[NDArray[np.intp], Array], Array]
+Sample = Callable[[Ints, Array], Array]
 """``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
 _NODES = 16
 _ROUNDING = 1e-16
 ROOT_TOLERANCE_S, TOLERANCE = 1e-9, 1e-11
 
 
-def interpolants(
-    sample: Sample, index: NDArray[np.intp], length: Array
-) -> dict[int, tuple[list[float], list[list[float]]]]:
+def interpolants(sample: Sample, index: Ints, length: Array) -> dict[int, tuple[list[float], list[list[float]]]]:
     """Piecewise Chebyshev interpolants of powers, halved until their last coefficients vanish.
 
     `index` (shape (m,)): intervals; `length` (shape (m,)): their lengths [s]; their size is below `TOLERANCE` of

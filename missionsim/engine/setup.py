@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.effects.model import PowerModel, TermKey
+from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
+from missionsim.engine.meter import Energies
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
@@ -19,7 +19,7 @@ from missionsim.inputs.robot import BatterySpec
 from missionsim.inputs.robot import EquivalentCircuit as CircuitSpec
 from missionsim.labels import Labels
 from missionsim.numerals import rounded
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.plan.asked import EXTRAS
 from missionsim.plan.legs import Plan, SegmentInfo
 from missionsim.runs.covariates import COVARIATES
@@ -143,7 +143,6 @@ BEYOND = 0.05
 """Part of the range of the logs by which a mission may leave it before that is told."""
 TOLERANCE = 1e-9
 """Relative to the energy of the battery's terms, or to its capacity: below it is rounding."""
-Energies = Mapping[str, Mapping[TermKey, Array]]
 
 
 def doubts(
@@ -245,7 +244,7 @@ _ALWAYS_TOLD = {"slope_rad", "payload_kg"}
 _OF_COMPONENTS = ("law", "component", "always_on", "startup", "switchboard", "processor")
 
 
-def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo], first: int | None = None) -> str:
+def _named(numbers: Int64s, segments: Sequence[SegmentInfo], first: int | None = None) -> str:
     """Segments by name, `first` before the others."""
     ordered = sorted(np.unique(numbers).tolist(), key=lambda i: i != first)
     names = list(dict.fromkeys(segments[i].label or segments[i].name for i in ordered))

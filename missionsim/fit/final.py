@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, prepare
@@ -18,7 +17,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
 from missionsim.identify.design import Source, make_source
 from missionsim.identify.settings import SEVERAL_RUNS, Settings
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.physics.lag import Meter
 from missionsim.runs.run import Run
 
@@ -203,7 +202,7 @@ class _System:
     x: Array
     y: Array
     seconds: Array
-    cluster: NDArray[np.intp]
+    cluster: Ints
     energy_x: Array
     energy_y: float
     measured_w: Array

@@ -15,11 +15,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.data import RunData
 from missionsim.identify.settings import FINEST_STEP_S, GAP_ROWS
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 LAG_NODES = (
     (0.117749, 0.414886, 0.756347, 1.169002, 1.672137, 2.305652, 3.236879, 5.173300),
@@ -40,7 +39,7 @@ class Bins:
     low_s: Array
     high_s: Array
     measured_w: Array
-    starts: NDArray[np.intp]
+    starts: Ints
     """First bin of each stretch without a gap."""
 
 
@@ -102,9 +101,9 @@ class Rows:
 
     edges_s: Array
     """Shape (rows + 1,)."""
-    logged: NDArray[np.intp] | None = None
+    logged: Ints | None = None
     """Number of the logged row of each piece, where a row beside a gap is two: its own reach and what fills the gap."""
-    together: tuple[NDArray[np.intp], Array] | None = None
+    together: tuple[Ints, Array] | None = None
     """Of pieces that were put together: the first of each row, and the length of every piece [s]."""
 
     @classmethod
@@ -193,16 +192,16 @@ class Intervals:
     """Analysis intervals of several runs among the rows of each; the times of a run begin where the last one ends."""
 
     edges_s: Array
-    run: NDArray[np.intp]
+    run: Ints
     """Both: edges in the order of time, run by run, and the number of their run. Shape (edges,)."""
-    low_at: NDArray[np.intp]
+    low_at: Ints
     """Edge at which each interval begins; it ends at the next. Shape (intervals,)."""
     least_s: Array
     """Least time that a mean is taken over. Shape (intervals,)."""
     rows_s: Array
     """Edges of all runs' rows, stacked."""
-    first: NDArray[np.intp]
-    last: NDArray[np.intp]
+    first: Ints
+    last: Ints
     """Both: the first and the last of these edges in the run of each edge. Shape (edges,)."""
 
     @classmethod
@@ -236,7 +235,7 @@ class Intervals:
         )
 
     @cached_property
-    def _rows_last(self) -> tuple[Array, Array, NDArray[np.intp]]:
+    def _rows_last(self) -> tuple[Array, Array, Ints]:
         """Of each edge, the time at which the rows of its run begin and end, and the last of these rows."""
         return self.rows_s[self.first], self.rows_s[self.last], self.last - 1
 
@@ -246,7 +245,7 @@ class Intervals:
         return np.diff(self.rows_s)
 
     @cached_property
-    def _cells(self) -> tuple[float, NDArray[np.intp]] | None:
+    def _cells(self) -> tuple[float, Ints] | None:
         """Cells of even length, so short that one row at most ends in each: how many there are in a second, and the row
         in which each begins. None where there would be too many."""
         inside = np.delete(self._length_s, np.unique(self.last)[:-1])
@@ -259,12 +258,12 @@ class Intervals:
         row = np.searchsorted(self.rows_s, begins, side="right") - 1
         return 1.0 / step, np.clip(row, 0, len(self.rows_s) - 2)
 
-    def _row_of(self, at_s: Array) -> NDArray[np.intp]:
+    def _row_of(self, at_s: Array) -> Ints:
         """The last row that has begun at each time, among those of all runs."""
         if self._cells is None:
             return np.searchsorted(self.rows_s, at_s, side="right") - 1
         per_s, row = self._cells
-        found: NDArray[np.intp] = row.take(((at_s - self.rows_s[0]) * per_s).astype(np.intp))
+        found: Ints = row.take(((at_s - self.rows_s[0]) * per_s).astype(np.intp))
         found += self.rows_s.take(found + 1) <= at_s
         return found
 
@@ -317,7 +316,7 @@ class Intervals:
         difference /= np.maximum(np.diff(at_s).take(self.low_at), self.least_s)[:, None]
         return np.asarray(difference)
 
-    def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.intp], Array, Array, Array]:
+    def _places(self, delay_s: Array, lag_s: float) -> tuple[Ints, Array, Array, Array]:
         """Row, place in it (0 to 1) and time at every node of the lag and edge, all of shape (nodes, edges); weights of
         the nodes, shape (nodes,)."""
         if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers

@@ -8,11 +8,10 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.settings import NEVER_ON_PART, SHAPE_NATS, Settings
 from missionsim.numerals import rounded
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Ints
 
 Refit = Callable[[Mapping[str, float]], Sequence[Array]]
 
@@ -46,9 +45,9 @@ class RunData:
     columns: Mapping[str, Array] = field(default_factory=dict)
     covariates: Mapping[str, Array] = field(default_factory=dict)
     _: KW_ONLY
-    fresh: NDArray[np.bool_] | None = None
+    fresh: Bools | None = None
     begin_s: float = math.nan
-    at_rest: NDArray[np.bool_] | None = None
+    at_rest: Bools | None = None
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -162,9 +161,9 @@ class Constraints:
     together.
     """
 
-    sign: NDArray[np.intp]
-    effect: NDArray[np.intp]
-    joint: NDArray[np.bool_]
+    sign: Ints
+    effect: Ints
+    joint: Bools
     candidates: Sequence[Candidate] = ()
     settings: Settings = field(default_factory=Settings)
 

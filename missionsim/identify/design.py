@@ -7,13 +7,12 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify import settings as const
 from missionsim.identify.align import Clock, find_clock, still
 from missionsim.identify.averaging import Intervals, Rows, RunColumns, Weights, integral_curves, make_bins
 from missionsim.identify.data import Candidate, Column, Constraints, Layout, RunData
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 KEPT_CURVES = 4
 HEAD_ROWS = 4
@@ -54,9 +53,9 @@ class Design:
         """Measured minus base model [W], shape (n,)."""
         return self.y - self.base
 
-    def of_runs(self, numbers: Sequence[int], most: int | None = None) -> tuple[Design, NDArray[np.intp]]:
+    def of_runs(self, numbers: Sequence[int], most: int | None = None) -> tuple[Design, Ints]:
         """The rows of some runs, the first `most` of each, and where they stand in all, shape (rows,)."""
-        at: list[NDArray[np.intp]] = []
+        at: list[Ints] = []
         runs: list[slice] = []
         stretches: list[slice] = []
         for j in numbers:
@@ -73,7 +72,7 @@ class Design:
         cut = replace(self, **rows, **stacks, runs=tuple(runs), stretches=tuple(stretches))
         return replace(cut, names=names, begins_s=begins_s), part
 
-    def run_index(self) -> NDArray[np.intp]:
+    def run_index(self) -> Ints:
         """Number of the run of each row, shape (n,)."""
         return np.repeat(np.arange(len(self.runs)), [rows.stop - rows.start for rows in self.runs])
 
@@ -121,7 +120,7 @@ class Source:
             varied={k: curve[:, at] for k, curve in self.varied.items()},
         )
 
-    def rows_of(self, numbers: Sequence[int]) -> NDArray[np.intp]:
+    def rows_of(self, numbers: Sequence[int]) -> Ints:
         """Where the rows of some runs stand in a design, shape (rows,)."""
         ends = np.cumsum([0, *(len(run.bins.measured_w) for run in self.columns)])
         return np.concatenate([np.arange(ends[j], ends[j + 1]) for j in numbers])

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.data import Constraints
 from missionsim.identify.gram import Gram, project, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.settings import BETWEEN_PART, ONE_RUN_NATS, ONE_RUN_PART, POWER_Z, SEVERAL_RUNS, WORSE_ENERGY
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Ints
 
-Numbers = NDArray[np.intp]
 NODE, WEIGHT = np.polynomial.legendre.leggauss(48)
 """Of the integral over an angle: with them p-values of 1e-15 are those of the t distribution to 1e-9."""
 
@@ -96,7 +94,7 @@ def nats_needed(tail: float) -> float:
     return 0.5 * float(ndtri(tail)) ** 2
 
 
-def block_numbers(model: Model, length_s: float) -> Numbers:
+def block_numbers(model: Model, length_s: float) -> Ints:
     """Number of the time block of each row, shape (n,); blocks never span two runs."""
     design = model.design
     out = np.empty(len(design.y), dtype=np.intp)
@@ -148,7 +146,7 @@ def robust(model: Model, column: int) -> tuple[float, float, float, float, float
     return share, sd, block_p, run_sd, run_p
 
 
-def _jackknife(x: Array, e: Array, cluster: Numbers, info: float, known: float) -> tuple[float, Array, Array]:
+def _jackknife(x: Array, e: Array, cluster: Ints, info: float, known: float) -> tuple[float, Array, Array]:
     """Standard error of the jackknife over clusters (CRV3); parts of the information of each, and what its score
     counts for."""
     score = np.bincount(cluster, weights=x * e)
@@ -200,7 +198,7 @@ def cause_is_constant(model: Model, column: int) -> bool:
     return within < BETWEEN_PART * float(np.nansum((every - np.nanmean(every)) ** 2))
 
 
-def cause_changes_in(model: Model, column: int) -> NDArray[np.bool_]:
+def cause_changes_in(model: Model, column: int) -> Bools:
     """In which runs what an effect depends on changes by what is much over all, shape (runs,): one drive with the cold
     in it shows what no two do that differ in more."""
     name = model.constraints.of_column(column).covariate
@@ -209,7 +207,7 @@ def cause_changes_in(model: Model, column: int) -> NDArray[np.bool_]:
     return np.array([np.nanvar(value) > least for value in values])
 
 
-def driven_for(model: Model, column: int) -> NDArray[np.bool_]:
+def driven_for(model: Model, column: int) -> Bools:
     """In which runs the cause of a column changes that is constant in most, or that of another effect in the model,
     shape (runs,): with and without the load on one floor, the rest of what the load seemed to cost is the floor's."""
     changes = np.array([cause_changes_in(model, k) for k in {column, *model.chosen}])

@@ -11,13 +11,12 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.data import Constraints
 from missionsim.identify.design import Design
 from missionsim.identify.noise import Noise, Packed, Shape
 from missionsim.identify.settings import MOST_TRIPLES, SHARE_PRIOR
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 RANDOM_COUNT = 5
 CLOCK_IN_GRADIENT = (-4, -3)
@@ -33,7 +32,7 @@ class Blocks:
     """
 
     rows: Packed
-    index: NDArray[np.intp]
+    index: Ints
 
     @classmethod
     def of(cls, design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> Blocks:
@@ -89,7 +88,7 @@ class Gram:
         cross = total[np.ix_(keep, np.arange(1, 1 + q))]
         return np.asarray(total[np.ix_(keep, keep)] - cross @ np.linalg.solve(inner, cross.T))
 
-    def _normal(self, chosen: Sequence[int], precision: float) -> tuple[Array, NDArray[np.intp], Array, Array]:
+    def _normal(self, chosen: Sequence[int], precision: float) -> tuple[Array, Ints, Array, Array]:
         """All runs together, rows of base and chosen columns, their prior precisions, and their normal matrix."""
         total = self.per_run.sum(axis=0)
         index = np.r_[np.arange(1, 1 + self.q), 1 + self.q + np.asarray(chosen, dtype=int)].astype(np.intp)
@@ -144,7 +143,7 @@ class Gram:
         cross = self.full[:, index]
         return np.asarray(self.full - cross @ np.linalg.solve(inner, cross.T))
 
-    def _inner(self, chosen: Sequence[int]) -> tuple[NDArray[np.intp], Array]:
+    def _inner(self, chosen: Sequence[int]) -> tuple[Ints, Array]:
         """Rows of some columns and their matrix, with a hair of ridge, so that exact twins give a finite answer."""
         index = 1 + np.asarray(chosen, dtype=np.intp)
         out = self.full[np.ix_(index, index)]
@@ -225,7 +224,7 @@ def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) ->
     return gain
 
 
-def set_gains(gram: Gram, constraints: Constraints, sets: NDArray[np.intp]) -> Array:
+def set_gains(gram: Gram, constraints: Constraints, sets: Ints) -> Array:
     """Gain of many sets of one size, shape (sets,); sign-infeasible ones get -inf.
 
     The best sign-feasible unconstrained set is the non-negative least squares optimum, because each face of the
@@ -243,7 +242,7 @@ def set_gains(gram: Gram, constraints: Constraints, sets: NDArray[np.intp]) -> A
     return np.where(np.all(constraints.sign[sets] * x >= 0, axis=1), gain, -np.inf)
 
 
-def all_sets(constraints: Constraints, size: int, base: Sequence[int] = ()) -> NDArray[np.intp]:
+def all_sets(constraints: Constraints, size: int, base: Sequence[int] = ()) -> Ints:
     """All allowed sets of up to three columns; beyond that, sets that differ from `base` in one column."""
     p = len(constraints.sign)
     # beyond triples all sets would take seconds, and swaps of one column reach most of them

@@ -15,11 +15,10 @@ from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.design import Design
 from missionsim.identify.settings import JITTER_SD_S, LAG_JITTER_SD_S2, NOISE_FLOOR, SLOW_LEFT
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 if TYPE_CHECKING:
     from missionsim.identify.predictive import LeastSquares
@@ -109,7 +108,7 @@ def block_filter(shape: Shape, block: int = BLOCK) -> Array:
 
 
 @cache
-def _ages(block: int) -> NDArray[np.intp]:
+def _ages(block: int) -> Ints:
     """How many rows each row of a block (second axis) lies behind each other one; -1 where it lies before it."""
     behind = np.subtract.outer(np.arange(block), np.arange(block)).T
     return np.where(behind < 0, -1, behind)
@@ -133,12 +132,12 @@ class Group:
     tail: Array
     tail_root: Array
     parts: tuple[slice, ...]
-    run: NDArray[np.intp]
+    run: Ints
     alone: bool
     """No two of the stretches lie in one run."""
 
     @classmethod
-    def of(cls, rows: Array, root: Array, parts: Sequence[slice], begins: NDArray[np.intp]) -> Group:
+    def of(cls, rows: Array, root: Array, parts: Sequence[slice], begins: Ints) -> Group:
         """Cut `parts` out of rows (k, n) with the roots of their weights (n,); runs begin at `begins`."""
         longest = max(part.stop - part.start for part in parts)
         begun = min(START_ROWS, longest)
@@ -261,7 +260,7 @@ class Noise:
     weight: Array
     scale: Array
 
-    def of_rows(self, at: NDArray[np.intp]) -> Noise:
+    def of_rows(self, at: Ints) -> Noise:
         """The same noise at some of the rows."""
         return replace(self, weight=self.weight[at], scale=self.scale[at])
 

@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify import settings as const
 from missionsim.identify.align import CLOCK_STEPS, Clock, uphill
 from missionsim.identify.design import Design, Source
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Ints
 
 RIDGE = 1e-9
 SHUFFLES = 499
@@ -67,7 +66,7 @@ class LeastSquares:
     """Length of each fold, shape (folds,)."""
     prior_sd: Array
     """Relative standard deviation of each base parameter, shape (q,)."""
-    run: NDArray[np.intp]
+    run: Ints
     """Number of the run of each fold, shape (folds,)."""
 
     @classmethod
@@ -116,12 +115,12 @@ class LeastSquares:
         rest = float(self.whole[0, 0] - shift @ self.whole[index, 0])
         return max(rest, 1e-12 * float(self.whole[-1, -1])) / float(self.seconds.sum())
 
-    def index(self, chosen: Sequence[int]) -> NDArray[np.intp]:
+    def index(self, chosen: Sequence[int]) -> Ints:
         """Rows of the base parameters and of the chosen columns in the sums."""
-        index: NDArray[np.intp] = np.r_[1 : 1 + self.q, 1 + self.q + np.asarray(chosen, dtype=np.intp)].astype(np.intp)
+        index: Ints = np.r_[1 : 1 + self.q, 1 + self.q + np.asarray(chosen, dtype=np.intp)].astype(np.intp)
         return index
 
-    def _normal(self, sums: Array, index: NDArray[np.intp]) -> tuple[Array, Array]:
+    def _normal(self, sums: Array, index: Ints) -> tuple[Array, Array]:
         """Normal equations with the priors of the base, for one or several sums (..., m, m)."""
         inner = sums[..., index[:, None], index].copy()
         side = np.arange(len(index))
@@ -147,7 +146,7 @@ class LeastSquares:
                 value[i, ~gone] = rest
         return value
 
-    def fit(self, chosen: Sequence[int], folds: NDArray[np.bool_] | None = None) -> Array:
+    def fit(self, chosen: Sequence[int], folds: Bools | None = None) -> Array:
         """Relative shifts of the base parameters, then shares of the chosen columns, shape (q + chosen,)."""
         sums = self.whole if folds is None else self.sums[folds].sum(axis=0)
         inner, side = self._normal(sums, self.index(chosen))
@@ -200,7 +199,7 @@ class LeastSquares:
         error = float(np.std(rise, ddof=1)) / np.sqrt(count)
         return float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
 
-    def errors(self, index: NDArray[np.intp], coefficients: Array) -> Left:
+    def errors(self, index: Ints, coefficients: Array) -> Left:
         """Errors of each fold under given coefficients, shape (folds, m) or (m,)."""
         b = np.broadcast_to(coefficients, (len(self.sums), len(index)))
         inner = self.sums[:, index[:, None], index]
@@ -258,7 +257,7 @@ class LeastSquares:
         return value
 
 
-def shows_alone(design: Design) -> NDArray[np.bool_]:
+def shows_alone(design: Design) -> Bools:
     """Which runs tell two effects apart by what changes within them, more than all others together, shape (runs,).
 
     A drive with and without the load on one floor is no draw of what runs are like: without it nothing is predicted.

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify import settings as const
 from missionsim.identify.evidence import block_numbers, chance_of
@@ -16,13 +15,13 @@ from missionsim.identify.model import Model
 from missionsim.identify.noise import mean_variance
 from missionsim.identify.proposed import plain, unit_of
 from missionsim.numerals import rounded, watts
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 from missionsim.runs.covariates import known
 
 SPEED = "speed_m_s"
 
 
-def ramps(model: Model) -> NDArray[np.bool_]:
+def ramps(model: Model) -> Bools:
     """Rows beside a change of the base model, shape (n,)."""
     design = model.design
     change = np.zeros(len(design.y))

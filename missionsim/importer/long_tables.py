@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.importer.roles import UNITS, Field, guess_all, known_unit, words_of
@@ -16,7 +15,7 @@ from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark, number_of, numbers_in, numbers_of
 from missionsim.logs.readers import Topic
 from missionsim.logs.times import is_stamp
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 
 _VALUE = re.compile(r"(field )?(val|values?|state|reading|wert|valeur|valore?)")
 _NAME = re.compile(
@@ -34,7 +33,7 @@ _NUMBERS = 0.5
 """Part of the cells of a signal that are numbers, at least: the others say that there is none (assumed)."""
 
 
-def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.int64], ColumnData]]:
+def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, Int64s, ColumnData]]:
     """Each signal of a table: its name, with a unit in brackets behind it, the first that its rows have, to which those
     in others are converted; its rows; and its values there. Raises KeyError: a column that is not in the table."""
     texts = [_texts(raw.columns[name]) for name in long.name]
@@ -44,7 +43,7 @@ def signals_of(raw: RawTable, long: LongMap) -> Iterator[tuple[str, NDArray[np.i
         _, code = np.unique(code * (len(one.names) + 1) + one.codes + 1, return_inverse=True)
     order = np.argsort(code, kind="stable")
     values = raw.odd.get(long.value, raw.columns[long.value])
-    parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], str, float, ColumnData]]] = {}
+    parts: dict[tuple[str, str], list[tuple[Int64s, str, float, ColumnData]]] = {}
     for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
         if not len(rows):
             continue

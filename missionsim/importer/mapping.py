@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
-from missionsim.files import sha256
+from missionsim.files import PathLike, sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
 from missionsim.importer.run_table import Piece, RunTables, table_path, word_in
@@ -25,10 +24,10 @@ from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
 from missionsim.logs.clean import count_on, out_of_order, refuse_turns
 from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.logs.read import PathLike, make_log
+from missionsim.logs.read import make_log
 from missionsim.logs.readers import reader_of, run_of
 from missionsim.logs.times import close_jumps
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.runs.run import Run
 
 
@@ -68,7 +67,7 @@ def file_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip(".-")[:120] or "run"
 
 
-def _numbered(name: str, pieces: list[NDArray[np.int64]]) -> list[Piece]:
+def _numbered(name: str, pieces: list[Int64s]) -> list[Piece]:
     width = max(2, len(str(len(pieces) - 1)))
     return [(f"{name}_{index:0{width}d}", rows) for index, rows in enumerate(pieces)]
 
@@ -195,9 +194,7 @@ def _mapped(path: Path, spec: MapSpec) -> Iterator[RawTable]:
         yield RawTable(raw.file, columns, lines, told, raw.first_row)
 
 
-def _columns(
-    mapper: Mapper, rows: NDArray[np.int64]
-) -> tuple[dict[str, ColumnData], dict[str, ColumnData], NDArray[np.int64], list[Remark]]:
+def _columns(mapper: Mapper, rows: Int64s) -> tuple[dict[str, ColumnData], dict[str, ColumnData], Int64s, list[Remark]]:
     """Columns of the map in the rows that are kept, of the source with the helpers, their rows, and what is said."""
     spec, raw = mapper.spec, mapper.raw
     source = _taken(raw.columns, rows)
@@ -225,7 +222,7 @@ def _columns(
     return result, source, rows, remarks
 
 
-def _taken(columns: Mapping[str, ColumnData], rows: NDArray[np.int64]) -> dict[str, ColumnData]:
+def _taken(columns: Mapping[str, ColumnData], rows: Int64s) -> dict[str, ColumnData]:
     """These rows of columns; all of them, in order, without a copy."""
     count = len(next(iter(columns.values()), ()))
     chosen = slice(None) if len(rows) == count and bool((np.diff(rows) == 1).all()) else rows
@@ -237,7 +234,7 @@ def _finish(
     name: str,
     run: dict[str, ColumnData],
     source: dict[str, ColumnData],
-    number: NDArray[np.int64],
+    number: Int64s,
     remarks: list[Remark],
 ) -> Run:
     time = np.asarray(run["time_s"])

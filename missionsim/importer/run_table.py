@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.importer.sources import Source, column_name, identifier
@@ -16,9 +15,10 @@ from missionsim.inputs.log_map import MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.readers import Options, reader_of, source_suffixes, unpacked_name
+from missionsim.physics import Int64s
 from missionsim.runs.run import Run
 
-Piece = tuple[str, NDArray[np.int64]]
+Piece = tuple[str, Int64s]
 """Name of a run, and its rows in the source."""
 _LISTED = 10
 """Keys that a message names."""
@@ -146,7 +146,7 @@ class RunTables:
         keys = keys_of(table.columns[str(column_name(self._key, names))])
         return self.read.setdefault(path.resolve(), (table, keys, {}))
 
-    def _names(self, raw: RawTable, source: Source, run: str, inside: NDArray[np.int64]) -> list[str]:
+    def _names(self, raw: RawTable, source: Source, run: str, inside: Int64s) -> list[str]:
         """What the table may call a run, the closest first."""
         by = [(name, word_in(raw.columns[name], int(inside[0]))) for name in self.spec.runs.by if len(inside)]
         key = [word for name, word in by if name == identifier(self._key)]

@@ -19,7 +19,6 @@ from missionsim.importer.long_tables import one_clock, recognised, signals_of
 from missionsim.importer.roles import Field, Guess, fields_of, guess_all, known_unit, says, size_of
 from missionsim.importer.run_table import keys_of
 from missionsim.importer.sources import identifier
-from missionsim.importer.suggest_switches import suggest_switches
 from missionsim.labels import Labels
 from missionsim.logs.clean import in_turn
 from missionsim.logs.raw import Remark
@@ -117,7 +116,7 @@ def suggest_map(paths: Sequence[Path], battery: str = "robot", components: Colle
     if table is not None:
         suggest_rows.join_runs(draft, *table)
     suggest_motion.suggest_others(draft)
-    suggest_switches(draft, components)
+    suggest_further.suggest_switches(draft, components)
     suggest_further.suggest(draft)
     if joined:
         _on_one_clock(draft, paths[0])

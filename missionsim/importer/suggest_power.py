@@ -7,7 +7,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.importer import suggest_energy as energy
 from missionsim.importer import suggest_meters as meter
@@ -15,6 +14,7 @@ from missionsim.importer.draft import Draft
 from missionsim.importer.roles import ROLES, Guess, folded, says, words_of
 from missionsim.labels import Labels
 from missionsim.logs.refresh import refreshes
+from missionsim.physics import Array
 
 _SIDE = r"\b(left|right|front|rear|fl|fr|rl|rr|l|r|links|rechts|gauche|droite)\b"
 _BY_GLOSSARY, _OF_A_PART = 3.0, 1.3
@@ -104,7 +104,7 @@ _AMPERES_A_VOLT = 4.0
 """No battery delivers more for each volt that it has (assumed)."""
 
 
-def _too_much(draft: Draft, watts: NDArray[np.float64]) -> str:
+def _too_much(draft: Draft, watts: Array) -> str:
     """Why a power without a unit is in milliwatts: by the voltage of the battery, wherever it stands."""
     volts = next((v for v in draft.best("voltage", 0.7) if np.isfinite(draft.values(v.field)).any()), None)
     if volts is None or not np.isfinite(watts).any():
@@ -150,7 +150,7 @@ def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
     return len(parents) == 2 and parents[0] == parents[1] != ""
 
 
-def _at(draft: Draft, guess: Guess, other: Guess) -> NDArray[np.float64]:
+def _at(draft: Draft, guess: Guess, other: Guess) -> Array:
     """Values of a field at the times of another one, NaN where it has none."""
     values, field, at = draft.values(guess.field, guess.unit), draft.fields[guess.field], draft.fields[other.field]
     if field.time_s is None or at.time_s is None or np.array_equal(field.time_s, at.time_s):
@@ -255,7 +255,7 @@ def _rows(draft: Draft, sources: list[str]) -> None:
         draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
 
 
-def _product(numbers: dict[str, NDArray[np.float64]]) -> tuple[float, str, str, str] | None:
+def _product(numbers: dict[str, Array]) -> tuple[float, str, str, str] | None:
     """Columns of which one is the product of two others: by how much it misses, volts, amperes and watts."""
     moving = [name for name, one in numbers.items() if np.ptp(one) > 0 and not (np.diff(one) == 1).all()]
     best: tuple[float, str, str, str] | None = None
@@ -277,7 +277,7 @@ def _product(numbers: dict[str, NDArray[np.float64]]) -> tuple[float, str, str, 
 
 def _from_array(draft: Draft) -> list[str]:
     """Volts, amperes and watts among the numbers of a topic that have no names (``/power.data[2]``)."""
-    arrays: dict[str, dict[str, NDArray[np.float64]]] = {}
+    arrays: dict[str, dict[str, Array]] = {}
     for name, one in draft.fields.items():
         if (match := re.fullmatch(r"(.+\.data)\[\d+\]", name)) and not isinstance(one.values, Labels):
             arrays.setdefault(match[1], {})[name] = draft.values(name)

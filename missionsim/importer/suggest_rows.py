@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.importer.draft import Draft, quoted
@@ -21,7 +20,7 @@ from missionsim.logs.clean import in_turn
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import source_suffixes
 from missionsim.logs.times import date_and_clock, is_fine, is_stamp
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Int64s
 
 
 def suggest_time(draft: Draft, path: Path) -> None:
@@ -152,7 +151,7 @@ def recognised_runs(
     step = np.diff(time_s[np.maximum.accumulate(np.where(np.isfinite(time_s), np.arange(len(time_s)), 0))])
     usual = float(np.nanmedian(np.abs(step)))
     restarts = step < -max(1.0, 10 * usual)
-    changes: dict[str, NDArray[np.bool_]] = {}
+    changes: dict[str, Bools] = {}
     for name, one in fields.items():
         values = _counts(one)
         if name in times or values is None:
@@ -262,7 +261,7 @@ def one_row_a_run(fields: Mapping[str, Field], path: Path) -> str:
     return f"one row a run ({', '.join([*runs, *results])}): a table of runs, and no log of one{there}"
 
 
-def _counts(one: Field) -> Array | NDArray[np.int64] | None:
+def _counts(one: Field) -> Array | Int64s | None:
     """Values of a column of words or of whole numbers; None for any other."""
     if isinstance(one.values, Labels):
         return one.values.codes

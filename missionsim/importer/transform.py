@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Int64s
 from missionsim.runs.run import row_durations
 
 
@@ -88,7 +87,7 @@ def rate_of_change(values: Array, time_s: Array, over_s: float | None = None) ->
         return np.asarray((np.interp(high, t, v) - np.interp(low, t, v)) / (high - low))
 
 
-def goes_back(speed: Array) -> NDArray[np.bool_]:
+def goes_back(speed: Array) -> Bools:
     """Whether the robot goes backwards; at rest, where the speed's sign is that of its noise, as it went before.
     `speed` (shape (n,)): [m/s]."""
     moves = np.flatnonzero(np.abs(speed) > STILL_SPEED_M_S)
@@ -113,7 +112,7 @@ def shift_back(data: ColumnData, time_s: Array, lag_s: float) -> ColumnData:
     return np.where(inside, data[index] if steps else np.interp(at, time_s, data), np.nan)
 
 
-def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Array, Int64s]:
     """Windows between the refreshes of slow signals.
 
     `signals` (shape (n,)): a change of any of them is a refresh; `time_s`: shape (n,). Gives `start_s`, `stop_s` (shape
@@ -124,7 +123,7 @@ def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Arra
     bring the same value again (standing still): a window longer than 1.5 usual ones is cut in usual ones, all but the
     last with the value before.
     """
-    found: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+    found: list[Int64s] = [np.empty(0, dtype=np.int64)]
     for signal in signals:
         values = signal.codes if isinstance(signal, Labels) else signal
         same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
@@ -151,11 +150,7 @@ def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Arra
 
 
 def average_windows(
-    columns: Mapping[str, ColumnData],
-    time_s: Array,
-    start_s: Array,
-    stop_s: Array,
-    held: Mapping[str, NDArray[np.int64]],
+    columns: Mapping[str, ColumnData], time_s: Array, start_s: Array, stop_s: Array, held: Mapping[str, Int64s]
 ) -> dict[str, ColumnData]:
     """Columns averaged over windows of time, weighted by the time each row stands for; text takes its last word.
 
@@ -276,7 +271,7 @@ def _onto(name: str, signal: Signal, time: Array) -> tuple[ColumnData, Remark | 
     elif len(numbers) and fill != "hold":
         edges = np.asarray(np.searchsorted(at, np.r_[-np.inf, 0.5 * (time[1:] + time[:-1]), np.inf]))
         total = np.r_[0.0, np.cumsum(np.where(known, numbers, 0.0))]
-        count: NDArray[np.int64] = np.concatenate([[0], np.cumsum(known)])
+        count: Int64s = np.concatenate([[0], np.cumsum(known)])
         rows = count[edges[1:]] - count[edges[:-1]]
         with np.errstate(invalid="ignore", divide="ignore"):
             data = np.where(rows > 0, (total[edges[1:]] - total[edges[:-1]]) / rows, numbers[index])

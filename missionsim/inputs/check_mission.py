@@ -15,7 +15,7 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter, uncertain_values
 from missionsim.inputs.power import strange_floors
 from missionsim.inputs.robot import RobotSpec
-from missionsim.inputs.segments import every_segment, fastest, flat_segments
+from missionsim.inputs.segments import MOST_SEGMENTS, every_segment, fastest, flat_segments
 from missionsim.inputs.tree import Where
 from missionsim.inputs.unread import unread_conditions, unread_settings
 from missionsim.inputs.validation import Checker
@@ -24,7 +24,6 @@ _DECIDED = {"time_s", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_spee
 _DECIDED |= {"surface", "scheme", "navigation", "segment", "x_m", "y_m", "heading_rad"}
 _DECIDED |= {"moving", "moving_time_s", "starts"}
 """Columns that a run fills itself; `conditions` may not set them."""
-_MAX_SEGMENTS = 1_000_000
 
 
 def check_mission(mission: MissionSpec) -> list[Fault]:
@@ -36,8 +35,8 @@ def check_mission(mission: MissionSpec) -> list[Fault]:
     check.settings(("defaults",), mission.defaults, None)
     here = mission.start if mission.start in check.places else None
     check.walk(mission.segments, here, mission.start is not None and here is None)
-    if _count(mission.segments) > _MAX_SEGMENTS:
-        check.add(("segments",), "too many segments", "repeats counted one by one", f"at most {_MAX_SEGMENTS}")
+    if _count(mission.segments) > MOST_SEGMENTS:
+        check.add(("segments",), "too many segments", "repeats counted one by one", f"at most {MOST_SEGMENTS}")
     check.policy()
     check.activities()
     if check.robot is not None:

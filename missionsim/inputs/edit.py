@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError
+from missionsim.files import PathLike
 from missionsim.inputs import units
 from missionsim.inputs.loading import robot_file, robot_from_text
 from missionsim.inputs.overrides import resolve
@@ -25,7 +26,7 @@ _DIGITS = 7
 """Significant digits of fitted numbers in files; their uncertainty is far larger."""
 
 
-def robot_text(name_or_path: str | os.PathLike[str]) -> str:
+def robot_text(name_or_path: PathLike) -> str:
     """Text of a shipped robot's file, or of the file at a path. Raises InputError: no such robot."""
     return robot_file(name_or_path).read_text(encoding="utf-8")
 
@@ -151,7 +152,7 @@ def _parsed(text: str) -> Any:
     return _round_trip().load(text)
 
 
-def for_folder(text: str, folder: str | os.PathLike[str]) -> str:
+def for_folder(text: str, folder: PathLike) -> str:
     """The text of a robot file with its editor line leading from `folder` to the installed schema."""
     target = SCHEMA_FOLDER / "robot.schema.json"
     try:

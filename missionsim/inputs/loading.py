@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.files import atomic_write
+from missionsim.files import PathLike, atomic_write
 from missionsim.inputs import overrides as override_rules
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Document, Where, as_written, parse_document, read_document
@@ -95,7 +95,7 @@ def find_robot(reference: str, folder: Path | None = None) -> Path | None:
     return candidate if is_file(candidate) else None
 
 
-def robot_file(name_or_path: str | os.PathLike[str]) -> Path:
+def robot_file(name_or_path: PathLike) -> Path:
     """File of a shipped robot, or the path. Raises InputError: no such robot."""
     found = find_robot(str(name_or_path))
     if found is None:
@@ -133,7 +133,7 @@ KINDS = {
 }
 """Where the model of each kind of file is."""
 Override = tuple[str, Any]
-RobotLike = str | os.PathLike[str] | RobotSpec
+RobotLike = PathLike | RobotSpec
 _REMEMBERED: ContextVar[dict[Any, Any] | None] = ContextVar("remembered", default=None)
 
 
@@ -147,7 +147,7 @@ def remembered() -> Iterator[None]:
         _REMEMBERED.reset(token)
 
 
-def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> RobotSpec:
+def load_robot(name_or_path: PathLike, overrides: Sequence[Override] = ()) -> RobotSpec:
     """Load a shipped robot by name, or a robot file.
 
     Parameters
@@ -175,14 +175,12 @@ def mission_from_text(text: str, robot: RobotSpec) -> MissionSpec:
     return cast("MissionSpec", _finished("mission", "mission", (), robot, parse_document(text, name="mission")))
 
 
-def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
+def load_environment(path: PathLike, overrides: Sequence[Override] = ()) -> EnvironmentSpec:
     """Load an environment file; see `load_robot`."""
     return cast("EnvironmentSpec", _finished(path, "environment", overrides))
 
 
-def load_mission(
-    path: str | os.PathLike[str], overrides: Sequence[Override] = (), robot: RobotLike | None = None
-) -> MissionSpec:
+def load_mission(path: PathLike, overrides: Sequence[Override] = (), robot: RobotLike | None = None) -> MissionSpec:
     """Load a mission with its robot and environment.
 
     Parameters
@@ -202,19 +200,17 @@ def load_mission(
     return cast("MissionSpec", _finished(path, "mission", overrides, robot))
 
 
-def load_study(path: str | os.PathLike[str]) -> StudySpec:
+def load_study(path: PathLike) -> StudySpec:
     """Load a study file; its `mission` stays a path relative to it (`mission_path`)."""
     return cast("StudySpec", _finished(path, "study"))
 
 
-def load_map(path: str | os.PathLike[str]) -> MapSpec:
+def load_map(path: PathLike) -> MapSpec:
     """Load a map for ``missionsim import``; faults in its formulas are told too."""
     return cast("MapSpec", _finished(path, "map"))
 
 
-def load_task(
-    path: str | os.PathLike[str], overrides: Sequence[Override] = (), robot: str | os.PathLike[str] | None = None
-) -> TaskSpec:
+def load_task(path: PathLike, overrides: Sequence[Override] = (), robot: PathLike | None = None) -> TaskSpec:
     """Load a task with its robot and environment; see `load_mission`."""
     return cast("TaskSpec", _finished(path, "task", overrides, robot))
 
@@ -225,7 +221,7 @@ def model_of(kind: str) -> type[FileModel]:
     return cast("type[FileModel]", getattr(importlib.import_module(f"missionsim.inputs.{module}"), name))
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
+def check_files(paths: Iterable[PathLike]) -> list[Fault]:
     """All faults and warnings of all YAML files, sorted, each once (a shared robot is told once)."""
     faults: list[Fault] = []
     for path in map(Path, paths):
@@ -272,7 +268,7 @@ def _check_study(study: StudySpec, faults: list[Fault]) -> None:
 
 
 def _finished(
-    path: str | os.PathLike[str],
+    path: PathLike,
     kind: str,
     overrides: Sequence[Override] = (),
     robot: RobotLike | None = None,

@@ -14,6 +14,7 @@ from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.robot import BehaviourSpec
 from missionsim.inputs.tree import as_written
 
+MOST_SEGMENTS = 1_000_000
 Profile = Literal["trapezoidal", "constant_speed"]
 
 

@@ -19,7 +19,7 @@ from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood, spread
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 Rows32 = NDArray[np.float32]
 CHUNK = 256
@@ -170,9 +170,7 @@ def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground
 class Sieve:
     """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
 
-    def __init__(
-        self, ground: Ground, noise: noises.Noise, group: Sequence[int] | NDArray[np.intp], every: int
-    ) -> None:
+    def __init__(self, ground: Ground, noise: noises.Noise, group: Sequence[int] | Ints, every: int) -> None:
         design = ground.design
         q, chosen = len(design.gradient), list(ground.chosen)
         self.every, self.starts = every, np.asarray(group)

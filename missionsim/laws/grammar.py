@@ -13,12 +13,11 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.base_terms import unit_named
 from missionsim.expressions import Powers, compile_expression, units_in
 from missionsim.identify.proposed import CLOCKS
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 MOST_FACTORS, MOST_LATE = 3, 2
 """The second with a lag among them."""
@@ -98,7 +97,7 @@ class Grammar:
         left = [(f, v) for f, v in pairs if f.variable.partition(" ")[0] not in names]
         return replace(self, factors=tuple(f for f, _ in left), values=tuple(v for _, v in left))
 
-    def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
+    def forms(self, memory: bool = False) -> list[Ints]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).
 
         With `memory`, only those that read a first-order lag, else only those that do not.

@@ -14,7 +14,6 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
@@ -23,7 +22,7 @@ from missionsim.identify.settings import SEVERAL_RUNS
 from missionsim.laws.adapter import Ground, Rows32, Sieve
 from missionsim.laws.gates import LEAST_RISE, LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 MOST_ROWS = 6000
 """Longer data are averaged to about so many rows for the first pass."""
@@ -139,7 +138,7 @@ class Search:
         """Nats for all tries of a form's size."""
         return self.penalties[len(form) - 1]
 
-    def screen(self, noise: Noise, among: Sequence[NDArray[np.intp]] | None = None) -> list[Scored]:
+    def screen(self, noise: Noise, among: Sequence[Ints] | None = None) -> list[Scored]:
         """Forms with the sign that physics asks for, best score first; `among` holds some forms of each size."""
         sieve = Sieve(self.ground, noise, self.groups, self.every)
         factors = sieve.coarse(self.rows)
@@ -148,7 +147,7 @@ class Search:
         found: list[Scored] = []
         for forms, penalty in zip(among or self.by_size, self.penalties, strict=True):
 
-            def rows_of(some: slice, part: slice, forms: NDArray[np.intp] = forms) -> Rows32:
+            def rows_of(some: slice, part: slice, forms: Ints = forms) -> Rows32:
                 own = factors[:, part]
                 x = own[forms[some, 0]]
                 for column in range(1, forms.shape[1]):
@@ -351,7 +350,7 @@ class Search:
         limit = HARDLY_WORSE * min(best, default=0.0)
         return [f for f, r, b in zip(forms, ratio, best, strict=True) if r < HELPS and b <= limit]
 
-    def sized(self, forms: Sequence[tuple[int, ...]]) -> list[NDArray[np.intp]]:
+    def sized(self, forms: Sequence[tuple[int, ...]]) -> list[Ints]:
         sizes = range(1, len(self.by_size) + 1)
         return [np.array([f for f in forms if len(f) == size], dtype=np.intp).reshape(-1, size) for size in sizes]
 
@@ -367,7 +366,7 @@ class Search:
                 rows.append(x)
         return kept
 
-    def near(self, top: Fitted, listed: Sequence[NDArray[np.intp]]) -> list[Scored]:
+    def near(self, top: Fitted, listed: Sequence[Ints]) -> list[Scored]:
         """Best forms at the noise of one of them, evaluated exactly; best score first."""
         ranked = [one.form for one in self.screen(top.model.noise, listed)[:EXACT]]
         for _ in range(BENDS):

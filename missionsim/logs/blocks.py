@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from missionsim.errors import Fault, InputError
-from missionsim.files import atomic_write, csv_cell
+from missionsim.files import PathLike, atomic_write, csv_cell
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark, merge
-from missionsim.logs.read import PathLike, make_log, read_log
+from missionsim.logs.read import make_log, read_log
 from missionsim.logs.readers import table_reader
 from missionsim.logs.times import TimeAxis
 from missionsim.runs.run import Run

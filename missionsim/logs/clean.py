@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
-from missionsim.logs.raw import Bools, ColumnData, RawTable, Remark
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.numerals import counted
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Int64s
 
 _SLOW_QUANTITIES = ("temp_ambient_c", "temp_motor_c", "payload_kg", "access_point_distance_m", "cpu_freq_hz")
 _SPARSE = 0.5
@@ -40,11 +39,11 @@ class Rows:
 
     raw: RawTable
     columns: dict[str, ColumnData]
-    row: NDArray[np.int64]
+    row: Int64s
     remarks: list[Remark]
     dt: Array | None = None
     """Time that each row stands for [s], once time is in order."""
-    whole: tuple[dict[str, ColumnData], NDArray[np.int64]] | None = None
+    whole: tuple[dict[str, ColumnData], Int64s] | None = None
     """Columns, and `row`, before rows that lack a value were left out."""
 
     @property
@@ -57,7 +56,7 @@ class Rows:
         data = self.columns.get(name)
         return None if isinstance(data, Labels) else data
 
-    def take(self, chosen: Bools | NDArray[np.int64]) -> None:
+    def take(self, chosen: Bools | Int64s) -> None:
         """Keep or reorder rows."""
         self.columns = {name: data[chosen] for name, data in self.columns.items()}
         self.row = self.row[chosen]
@@ -119,7 +118,7 @@ _ANEW = 10.0
 (assumed): braking lowers it by less."""
 
 
-def without_resets(values: Array) -> tuple[Array, NDArray[np.int64]]:
+def without_resets(values: Array) -> tuple[Array, Int64s]:
     """A counter counted on where it begins anew, in such a row by what it moves by in the rows beside; and these rows.
     `values`: shape (n,)."""
     known = np.flatnonzero(np.isfinite(values))
@@ -223,7 +222,7 @@ ELECTRIC = ("power_", "voltage_", "current_", "energy_")
 """How columns of a battery begin."""
 
 
-def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: NDArray[np.int64]) -> None:
+def _refuse_clashes(rows: Rows, means: dict[str, ColumnData], starts: Int64s) -> None:
     """Raise InputError where many rows share their time with others and their mean is of no robot: several recordings
     whose rows stand in turn, or times so coarse that hardly any are left."""
     n, line = len(rows.time), rows.raw.line(int(rows.row[0]))

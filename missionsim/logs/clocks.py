@@ -6,11 +6,10 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.labels import Labels
 from missionsim.logs.raw import Remark
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
 
 class TimeError(ValueError):
@@ -25,7 +24,7 @@ FEW_BAD = 0.05
 """Part of the distinct stamps of a column that may be none: their rows have no time (assumed)."""
 
 
-def mostly_zoned(zoned: NDArray[np.bool_], seconds: Array, labels: Labels) -> tuple[bool, str]:
+def mostly_zoned(zoned: Bools, seconds: Array, labels: Labels) -> tuple[bool, str]:
     """Whether distinct stamps, of so many seconds, mostly have a UTC offset, and what is said of the others, which
     become NaN; nothing where there are none. Raises TimeError: too many others; no clock says what they mean."""
     known = np.isfinite(seconds)

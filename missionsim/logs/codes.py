@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
 _NINES = (999.0, 9999.0, 99999.0, 999999.0)
 _CODES = np.unique([
@@ -122,7 +121,7 @@ class Tally:
         if len(self.distinct) < _FEW:
             self.distinct |= set(np.unique(rest[:_SAMPLE])[:_FEW].tolist())
 
-    def _meet(self, code: float, rows: NDArray[np.bool_]) -> None:
+    def _meet(self, code: float, rows: Bools) -> None:
         seen = self.met.setdefault(code, _Met(self.rows + int(np.argmax(rows))))
         seen.count += int(rows.sum())
         seen.times += int(np.count_nonzero(np.diff(np.r_[False, rows]) & rows))
@@ -156,7 +155,7 @@ class Tally:
         return far > (self.high - self.low) * (_FAR if usual else _LONE)
 
 
-def _is(data: Array, code: Array | float) -> NDArray[np.bool_]:
+def _is(data: Array, code: Array | float) -> Bools:
     """Where numbers are a code, up to how they are kept."""
     return np.isclose(data, code, rtol=_ALIKE, atol=0.0)
 

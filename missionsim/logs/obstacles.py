@@ -11,13 +11,10 @@ import numpy as np
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import Bools
 from missionsim.logs.refresh import refreshes
-from missionsim.logs.suspect import STRETCH, hardly_moves, stretches
-from missionsim.physics import Array
+from missionsim.logs.suspect import SAMPLE, STRETCH, hardly_moves, stretches
+from missionsim.physics import Array, Bools
 from missionsim.physics.lag import Meter, metered
-
-_SAMPLE = 100_000
 
 
 def check_obstacles(rows: Rows, components: Sequence[str] = ()) -> None:
@@ -45,8 +42,8 @@ def check_obstacles(rows: Rows, components: Sequence[str] = ()) -> None:
                 told = f"a gauge in steps ({len(moved)} in all, one every {usual:.3g} s)"
                 action = "left as it is; it holds the energy of a mission, but no watts that a diagnosis could use"
                 rows.remark("obstacle", name, told, action)
-        elif name == "speed_m_s" and (slow := refreshes(data[:_SAMPLE], time[:_SAMPLE])) is not None:
-            step = float(np.median(np.diff(time[:_SAMPLE])))
+        elif name == "speed_m_s" and (slow := refreshes(data[:SAMPLE], time[:SAMPLE])) is not None:
+            step = float(np.median(np.diff(time[:SAMPLE])))
             if slow.period_s >= 0.8 and slow.period_s > 3.5 * step:
                 told = f"the speed changes every {slow.period_s:.2g} s only (from GNSS?)"
                 action = "kept; starts, stops and what speeding up takes cannot be seen in it: log the wheels' speed"
@@ -60,7 +57,7 @@ _MODULI = tuple(base * 10.0**-digits for base in (65536.0, 4096.0, 32768.0) for 
 
 def _wraps(data: Array) -> float:
     """Span of a number that wraps, such as 65.536; 0 where the values do not."""
-    sample = data[:_SAMPLE]
+    sample = data[:SAMPLE]
     step = np.diff(sample)
     span = float(np.ptp(sample))
     if span <= 0:

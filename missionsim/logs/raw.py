@@ -8,20 +8,16 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
 from missionsim.labels import ColumnData as ColumnData
 from missionsim.labels import Labels
 from missionsim.logs.codes import Found, Tally, without
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

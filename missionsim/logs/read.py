@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
-from missionsim.files import grouped, sha256
+from missionsim.files import PathLike, grouped, sha256
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
@@ -23,13 +22,13 @@ from missionsim.logs.readers import Options, is_recording, log_suffixes, not_the
 from missionsim.logs.refresh import of_one_meter
 from missionsim.logs.times import TimeAxis
 from missionsim.numerals import counted
+from missionsim.physics import Bools
 from missionsim.runs.run import Run, row_durations
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
     from missionsim.logs.blocks import LongRun
 
-PathLike = str | os.PathLike[str]
 _SOURCES = {"power": "power_{}_w", "voltage*current": "current_{}_a", "energy": "energy_{}_wh"}
 
 
@@ -229,7 +228,7 @@ def _freeze(
     rows: Rows,
     run: str,
     kinds: dict[str, str],
-    held: dict[str, NDArray[np.bool_]],
+    held: dict[str, Bools],
     robot: RobotSpec | None,
     own: tuple[int, int] | None,
     statistics: bool,

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from missionsim.logs.raw import Bools
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
 _SLOW_SHARE = 0.3
 """Share of repeated neighbours above which a column may come from a slower topic."""

@@ -13,11 +13,10 @@ from missionsim.errors import did_you_mean
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.raw import Bools
 from missionsim.logs.refresh import refreshes
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
-_SAMPLE = 100_000
+SAMPLE = 100_000
 """Rows that the statistical checks look at: one stretch from the start of the table."""
 _LEFT = "left as it is; a map converts it"
 _REST_BAND = 5.0
@@ -61,14 +60,14 @@ def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_compone
 
 def check_magnitudes(rows: Rows, max_speed_m_s: float | None, power_w: Mapping[str, Array]) -> None:
     """Tell columns whose magnitude suggests another unit, and times whose steps do."""
-    step = np.diff(rows.time[:_SAMPLE])
+    step = np.diff(rows.time[:SAMPLE])
     usual = float(np.median(step)) if len(step) >= 20 else 0.0
     if usual > _SLOW_STEP_S and float(np.quantile(step, 0.9)) < 3 * usual:  # many rows at an even pace
         told = f"steps of {usual:.4g} s, {rows.time[-1] / 3600.0:.4g} h in all; perhaps milliseconds"
         rows.remark("unit", "time_s", told, f"{_LEFT}: time_s: time_s / 1000")
     speed = rows.number("speed_m_s")
-    fast = 0.0 if speed is None else float(np.quantile(np.abs(speed[:_SAMPLE]), 0.95))
-    most = max((float(np.quantile(np.abs(watt[:_SAMPLE]), 0.95)) for watt in power_w.values()), default=0.0)
+    fast = 0.0 if speed is None else float(np.quantile(np.abs(speed[:SAMPLE]), 0.95))
+    most = max((float(np.quantile(np.abs(watt[:SAMPLE]), 0.95)) for watt in power_w.values()), default=0.0)
     # a great speed or power is that of a car where the force between both is one that a vehicle has
     a_car = 5.0 < fast < 45.0 and _FORCES_N[0] < most / fast < _FORCES_N[1]
     for name, data in rows.columns.items():
@@ -77,7 +76,7 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None, power_w: Mapping[s
         found = column_of(name)
         if found is None:
             continue
-        large = float(np.quantile(np.abs(data[:_SAMPLE]), 0.95))
+        large = float(np.quantile(np.abs(data[:SAMPLE]), 0.95))
         limit, perhaps = found[0].large, found[0].perhaps
         if name == "speed_m_s" and max_speed_m_s:
             limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
@@ -96,7 +95,7 @@ _REACH_M = 2.0
 
 def check_agreement(rows: Rows, batteries: Iterable[str]) -> None:
     """Compare what is said twice: power, V·I, energy; speed, path, acceleration; heading, yaw rate."""
-    number = {name: data[:_SAMPLE] for name, data in rows.columns.items() if not isinstance(data, Labels)}
+    number = {name: data[:SAMPLE] for name, data in rows.columns.items() if not isinstance(data, Labels)}
     time = number["time_s"]
     second = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))  # rows of one
     speed = number.get("speed_m_s")
@@ -228,9 +227,9 @@ def check_order(rows: Rows) -> None:
     data, time = rows.number("speed_m_s"), rows.time
     if data is None or len(data) < 100:
         return
-    speed = data[:_SAMPLE]
+    speed = data[:SAMPLE]
     spread = float(np.std(speed))
-    if spread < 0.05 or float(np.median(np.diff(time[:_SAMPLE]))) > 2.0:
+    if spread < 0.05 or float(np.median(np.diff(time[:SAMPLE]))) > 2.0:
         return
     kept = float(np.corrcoef(speed[1:], speed[:-1])[0, 1])
     if kept < 0.15:
@@ -245,7 +244,7 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     if number[0] is None:
         return
     forward, turned = (np.zeros(len(rows.time)) if data is None else data for data in number)
-    forward, turned, known = forward[:_SAMPLE], turned[:_SAMPLE], True
+    forward, turned, known = forward[:SAMPLE], turned[:SAMPLE], True
     speed, turning, signed = np.abs(forward), np.abs(turned), np.min(turned) < 0.0 < np.max(turned)
     slow = hardly_moves(speed, turning)
     still = (speed < STILL_SPEED_M_S) & (turning < STILL_YAW_RATE_RAD_S)
@@ -259,7 +258,7 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
         elif power_w is None:
             return
         else:
-            known, slow = False, _rest_of_power(speed, turning, power_w[:_SAMPLE])
+            known, slow = False, _rest_of_power(speed, turning, power_w[:SAMPLE])
         count, beyond = int(slow.sum()), int((slow & ~still).sum())
         if beyond < max(20, 0.8 * count):
             return
@@ -353,7 +352,7 @@ def check_frozen(rows: Rows, held: Mapping[str, Bools]) -> dict[str, Bools]:
             continue  # changes in nearly every row, or never: nothing to find, at the price of one comparison
         slow = refreshes(data, time)
         if slow is not None:
-            step = float(np.median(np.diff(time[:_SAMPLE])))
+            step = float(np.median(np.diff(time[:SAMPLE])))
             count = len(data) - int(slow.fresh.sum())
             told = f"values repeat: about {1 / slow.period_s:.2g} Hz in rows of {1 / step:.3g} Hz"
             once = "; each refresh counts once" * name.startswith(("power_", "current_", "voltage_"))

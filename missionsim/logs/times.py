@@ -8,7 +8,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
@@ -16,7 +15,7 @@ from missionsim.logs import clocks
 from missionsim.logs.clocks import TimeError as TimeError
 from missionsim.logs.raw import RawTable, Remark
 from missionsim.numerals import counted
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
 _CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"
 _ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))"
@@ -172,9 +171,7 @@ _JUMP_S = 3600.0
 """A step that is longer, and a thousand usual ones, is no gap of a mission: the clock was set, or the robot was off."""
 
 
-def close_jumps(
-    time_s: Array, remarks: list[Remark], usual: float | None = None, away: NDArray[np.bool_] | None = None
-) -> Array:
+def close_jumps(time_s: Array, remarks: list[Remark], usual: float | None = None, away: Bools | None = None) -> Array:
     """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis. `time_s` (shape
     (n,)): [s]; `remarks`: what is said is added; `usual`: usual step [s], where it is known; `away` (shape (n - 1,)):
     steps in which rows of another run lie."""

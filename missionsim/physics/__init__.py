@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.intp]
+Int64s = NDArray[np.int64]
 Value = float | Array
 """A number or an array of numbers; arrays broadcast (scalar, ``(intervals,)``, ``(draws, intervals)``)."""
 

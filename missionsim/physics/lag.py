@@ -6,9 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 
 FORGOTTEN = 1e-18
 """Part of what was that no longer changes a number."""
@@ -83,9 +82,7 @@ class Lagged:
     it; the lag of such a piece is known in closed form.
     """
 
-    def __init__(
-        self, signal: Callable[[NDArray[np.intp], Array], Array], length_s: Array, tau_s: Array, begin: Array
-    ) -> None:
+    def __init__(self, signal: Callable[[Ints, Array], Array], length_s: Array, tau_s: Array, begin: Array) -> None:
         """`signal`: ``(intervals (k,), seconds after their starts (k, q)) → (k, q)``. `length_s`, `tau_s`, `begin`
         (shape (n,)): length of each interval, time constant, and the lag at its start (or `SETTLED`, `GOES_ON`)."""
         rows = np.arange(len(length_s))
@@ -123,7 +120,7 @@ class Lagged:
         """The lag at the start of each interval, shape (n,)."""
         return self._start[self._first]
 
-    def __call__(self, rows: NDArray[np.intp], seconds: Array) -> Array:
+    def __call__(self, rows: Ints, seconds: Array) -> Array:
         """The lag at times after the start of some intervals (shape (k,)), shape (k, q)."""
         of = np.searchsorted(self._place, rows[:, None] + seconds / self._length[rows][:, None], side="right") - 1
         of = np.clip(of, self._first[rows][:, None], self._last[rows][:, None])

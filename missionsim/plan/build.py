@@ -33,7 +33,6 @@ from missionsim.plan.legs import (
 )
 from missionsim.plan.routes import Way, along, routes_of
 
-MOST_SEGMENTS = 1_000_000
 Route = tuple[str, str, tuple[int, ...]]
 
 
@@ -150,8 +149,8 @@ class _Builder(Asked):
             for inner in itertools.chain.from_iterable(itertools.repeat(segment.segments, segment.least)):
                 self._segment(inner)
             return None
-        if len(self.segments) >= MOST_SEGMENTS:
-            raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
+        if len(self.segments) >= kinds.MOST_SEGMENTS:
+            raise self.fault(segment, "too many segments", f"at most {kinds.MOST_SEGMENTS}, repeats counted one by one")
         label = segment.kind if segment.name is None else segment.name
         if segment.name is None and isinstance(segment, kinds.DriveSegment) and segment.distance is None:
             label = f"drive {segment.to or (segment.along or ('',))[-1]}"

@@ -14,13 +14,12 @@ from itertools import repeat
 from typing import Any, Literal, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Labels
 from missionsim.effects.model import PowerModel
 from missionsim.expressions import Place
 from missionsim.inputs.robot import RobotSpec
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 
 T = TypeVar("T")
 
@@ -71,9 +70,9 @@ class Odd:
     """
 
     def __init__(self) -> None:
-        self.runs: NDArray[np.bool_] | None = None
+        self.runs: Bools | None = None
 
-    def most(self, decision: bool | NDArray[np.bool_]) -> bool:
+    def most(self, decision: bool | Bools) -> bool:
         """What most runs decide; the others are odd."""
         if not isinstance(decision, np.ndarray):
             return bool(decision)
@@ -81,7 +80,7 @@ class Odd:
         self.mark(decision != answer)
         return answer
 
-    def mark(self, runs: NDArray[np.bool_]) -> None:
+    def mark(self, runs: Bools) -> None:
         """These are odd."""
         self.runs = runs if self.runs is None else self.runs | runs
 
@@ -292,7 +291,7 @@ class Plan:
     nothing is left to chance or no generator was given."""
     routes: tuple[tuple[str, str, tuple[int, ...]], ...] = ()
     """The routes taken through the environment: begin, end, edges."""
-    odd: NDArray[np.bool_] | None = None
+    odd: Bools | None = None
     """Of a plan of many runs, those that this plan is not for. Shape (runs,)."""
 
     @property

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Parameter
+from missionsim.physics import Bools
 from missionsim.plan.legs import Settings, least
 
 _ROUNDING = 1e-12
@@ -157,7 +157,7 @@ class Routes:
             )
         return next(way for way in self.ways[here] if way.edge == found[0])
 
-    def others_shorter(self, routes: Iterable[tuple[str, str, tuple[int, ...]]]) -> NDArray[np.bool_]:
+    def others_shorter(self, routes: Iterable[tuple[str, str, tuple[int, ...]]]) -> Bools:
         """Runs in which another way is shorter than one of these routes, shape (runs,) (Bellman 1958, Ford 1956)."""
         lengths = {way.edge: way.length_m for ways in self.ways.values() for way in ways}
         count = next(np.size(length) for length in lengths.values() if isinstance(length, np.ndarray))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.files import Json, fields_of
+from missionsim.files import Json, PathLike, fields_of
 from missionsim.inputs.loading import shipped_robots
 from missionsim.inputs.task import SchemeChoice, VisitSpec
 from missionsim.numerals import in_wh
@@ -246,7 +246,7 @@ def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
     return made
 
 
-def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
+def mission_text(answer: Answer, target: PathLike | None) -> str:
     """The YAML text of a mission that does what the plan says. `answer`: feasible. `target`: where it will lie, for the
     paths of robot and environment; None for the task's own folder."""
     task = answer.site.task

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.planner.core import Bounds, Label
 from missionsim.planner.site import Site
 from missionsim.planner.tour import Tour
@@ -33,7 +32,7 @@ def matrix(site: Site, payload_kg: float, weights: Array, *, straight: bool = Fa
 
 def _by_load(
     site: Site, weights: Array, worth: Array | None = None, *, straight: bool = False
-) -> tuple[Array, Array, NDArray[np.intp]]:
+) -> tuple[Array, Array, Ints]:
     """For each load that may come up `matrix`, shape (loads, stops, stops), and the least of what is done at each visit
     less what it is worth, shape (loads, visits); the number of each state's load."""
     loads, which = site.order.loads
@@ -103,13 +102,13 @@ def slack_of(tour: Tour, prices: Array) -> tuple[Array, Array]:
     before = np.full_like(after, math.inf)
     before[0, 0] = 0.0
 
-    def way(states: NDArray[np.intp], heads: NDArray[np.intp], rest: Array) -> Array:
+    def way(states: Ints, heads: Ints, rest: Array) -> Array:
         through = before[states] + apart[which[states], :, heads]
         ends = which[states][:, None], np.arange(tour.size)[None, :], heads[:, None]
         np.minimum.at(found, ends, through + rest[:, None])
         return np.asarray(through.min(axis=1))
 
-    def by_docks(states: NDArray[np.intp]) -> None:
+    def by_docks(states: Ints) -> None:
         for dock in range(goal + 1, tour.size):
             by = way(states, np.full(len(states), dock), after[states, dock])
             before[states, dock] = np.minimum(before[states, dock], by)
@@ -125,7 +124,7 @@ def slack_of(tour: Tour, prices: Array) -> tuple[Array, Array]:
     return np.asarray(np.maximum(found - after[0, 0], 0.0)), before
 
 
-def in_time(site: Site) -> NDArray[np.intp]:
+def in_time(site: Site) -> Ints:
     """States to end in for which some order keeps all windows and the deadline, driven as fast as can be."""
     order, visits = site.order, site.task.visits
     apart, stands, which = _by_load(site, np.eye(len(site.weights))[0])

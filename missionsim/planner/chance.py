@@ -20,7 +20,7 @@ from missionsim.errors import InputError
 from missionsim.files import write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 from missionsim.planner.answer import Answer, mission_text
 from missionsim.planner.rounds import of_one_kind, plan_rounds
 from missionsim.planner.site import Site, make_site
@@ -348,7 +348,7 @@ class _Search:
             margins = needed
         return best
 
-    def _needed(self, tried: _Tried, limits: NDArray[np.bool_], target: float) -> Array:
+    def _needed(self, tried: _Tried, limits: Bools, target: float) -> Array:
         """The least margins, alike in share for all limits that matter, within which a share of the draws would be.
         `limits`: which matter; those that some draw of this plan breaks are added."""
         slack = _slack_of(self.site, self.columns)

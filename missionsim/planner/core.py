@@ -18,9 +18,8 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.planner.chains import EPSILON, Front, least_of_most, most_of_least, within
 
 DOMINATED = 4
@@ -31,7 +30,7 @@ NARROW = 3
 class Leaving(NamedTuple):
     """Arcs out of a node: heads, shape (n,), resources used, shape (n, resources), and what they stand for."""
 
-    heads: NDArray[np.intp]
+    heads: Ints
     use: Array
     moves: Sequence[Any]
     peak: Array | None = None
@@ -107,7 +106,7 @@ class Bounds:
             return np.asarray(self.most + EPSILON * (1.0 + np.abs(self.most)) - self.least)
 
     @cached_property
-    def _without_time(self) -> NDArray[np.intp]:
+    def _without_time(self) -> Ints:
         return np.delete(np.arange(len(self.most)), self.clock)
 
     def sheared(self, points: Array) -> Array:
@@ -116,7 +115,7 @@ class Bounds:
             return np.asarray(points[:, self._without_time])
         return points if self.shear is None else points - np.minimum(points[:, [self.clock]], self.until) * self.shear
 
-    def of(self, nodes: int | NDArray[np.intp], chains: Array, *, closely: bool = True) -> Array:
+    def of(self, nodes: int | Ints, chains: Array, *, closely: bool = True) -> Array:
         """Lower bounds of the objective by way of any point of chains at nodes, shape (n,). `chains` (shape (points, n,
         resources)); without `closely` somewhat lower ones, sooner."""
         values = chains @ self.weights.T + self.rest[nodes] - self.offset

@@ -10,10 +10,9 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.planner.core import Bounds, Label, Leaving, chain_of, search
 from missionsim.planner.pieces import Piece, Road
 
@@ -73,7 +72,7 @@ class Drives:
         self._pairs, self._begins, self._counts = np.unique(pairs[self._by_pair], return_index=True, return_counts=True)
         self._distances: dict[tuple[bytes, bytes, bool], Array] = {}
 
-    def distances(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> Array:
+    def distances(self, weights: Array, nodes: Ints, *, back: bool = False) -> Array:
         """Least weighted use from nodes to every state, shape (nodes, states); with `back`, from every state to them.
 
         `weights` (shape (1 + batteries,)): of seconds and Wh; the weighted use may be negative on single arcs
@@ -84,9 +83,7 @@ class Drives:
             self._distances[key] = self._solve(weights, nodes, back=back)[0]
         return self._distances[key]
 
-    def supported(
-        self, weights: Sequence[Array], sources: NDArray[np.intp], targets: NDArray[np.intp]
-    ) -> dict[tuple[int, int], list[Drive]]:
+    def supported(self, weights: Sequence[Array], sources: Ints, targets: Ints) -> dict[tuple[int, int], list[Drive]]:
         """The drives of least weighted use by any of some weights, between all sources and targets."""
         found: dict[tuple[int, int], list[Drive]] = {}
         for row in weights:
@@ -106,7 +103,7 @@ class Drives:
                         known.append(drive)
         return found
 
-    def _graph(self, cost: Array, back: bool) -> tuple[Any, NDArray[np.intp]]:
+    def _graph(self, cost: Array, back: bool) -> tuple[Any, Ints]:
         """The cheapest arc between any two states, as a graph; which arcs these are."""
         from scipy.sparse import csr_array
 
@@ -122,7 +119,7 @@ class Drives:
         tails, heads = (ends[chosen].astype(np.int32) for ends in (road.tails, road.heads))
         return csr_array((weight, (heads, tails) if back else (tails, heads)), shape=(size, size)), chosen
 
-    def _solve(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> tuple[Array, Any, Any]:
+    def _solve(self, weights: Array, nodes: Ints, *, back: bool = False) -> tuple[Array, Any, Any]:
         """Distances and predecessors by Dijkstra's method, on costs that potentials keep from being negative."""
         from scipy.sparse.csgraph import dijkstra
 
@@ -180,7 +177,7 @@ class Drives:
     def between(
         self,
         source: int,
-        targets: NDArray[np.intp],
+        targets: Ints,
         more: Array | None = None,
         *,
         weights: Array | None = None,

@@ -22,7 +22,7 @@ from missionsim.files import grouped
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.segments import DriveSegment
 from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec, speeds_of
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Ints
 from missionsim.plan.build import legs_of
 from missionsim.plan.kinematics import Phases, ramp_phases
 from missionsim.plan.legs import Leg
@@ -132,8 +132,8 @@ class Road:
     """The graph of states, its arcs with what they cost."""
 
     states: list[State]
-    tails: NDArray[np.intp]
-    heads: NDArray[np.intp]
+    tails: Ints
+    heads: Ints
     """Both: shape (arcs,)."""
     use: Array
     """Seconds, and Wh of each battery. Shape (arcs, 1 + batteries)."""
@@ -243,7 +243,7 @@ def _ends(
             yield State(end, speed, OWED), speed
 
 
-def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDArray[np.bool_]) -> tuple[Array, Array]:
+def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: Bools) -> tuple[Array, Array]:
     """Time and energies of pieces between speeds, evaluated as arrays.
 
     `speeds` (shape (n, 2)): at begin and end of each [m/s]; `rest` (shape (n,)): whether the robot stood before. Gives
@@ -305,7 +305,7 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
     return use, np.maximum(peak, np.maximum(use[:, 1:], 0.0))
 
 
-def undominated(use: Array, shear: Array, peak: Array, group: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+def undominated(use: Array, shear: Array, peak: Array, group: Ints | None = None) -> Ints:
     """Rows that no other of their group is better than: in time, even where it then has to wait, energies and peaks."""
     compared = np.concatenate([use - use[:, :1] * shear, peak], axis=1)
     group = np.zeros(len(use), dtype=np.intp) if group is None else group

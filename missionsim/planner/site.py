@@ -8,14 +8,13 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.inputs.check_task import earlier_of
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
 from missionsim.inputs.task import TaskSpec
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Ints
 from missionsim.plan.build import legs_of
 from missionsim.planner.drives import Drives
 from missionsim.planner.physics import Physics
@@ -26,7 +25,6 @@ HAIR = 2e-9
 rounding."""
 MOST_FREE = 13
 """Visits in any order of which all subsets are gone through."""
-Ints = NDArray[np.intp]
 
 
 class Order:
@@ -125,7 +123,7 @@ class Order:
         return loads, np.ravel(which)
 
     @cached_property
-    def ends(self) -> NDArray[np.bool_]:
+    def ends(self) -> Bools:
         """States in which nothing that must be done is left."""
         return np.array([self.may_end(state) for state in range(self.count)])
 
@@ -177,7 +175,7 @@ class Charger:
     (batteries,)."""
     draw_w: Array
     """What the robot draws while docked. Shape (batteries,)."""
-    served: NDArray[np.bool_]
+    served: Bools
     """Shape (batteries,)."""
     capacity_wh: Array
     """Shape (batteries,)."""
@@ -272,7 +270,7 @@ class Site:
     """Of seconds and Wh in the objective. Shape (1 + batteries,)."""
     timeless: bool = False
     """Time is neither limited nor part of the objective: nothing is chosen for being quicker."""
-    _roads: dict[float, tuple[Drives, NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
+    _roads: dict[float, tuple[Drives, Ints, Ints]] = field(default_factory=dict)
     _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
 
     @property
@@ -280,7 +278,7 @@ class Site:
         """Number of the stop that ends the mission."""
         return len(self.task.visits) + 1
 
-    def road(self, payload_kg: float) -> tuple[Drives, NDArray[np.intp], NDArray[np.intp]]:
+    def road(self, payload_kg: float) -> tuple[Drives, Ints, Ints]:
         """The road under a load, made when first asked for; its states in which each stop is left and come to."""
         if payload_kg not in self._roads:
             physics, leaving = self.physics, []

@@ -8,10 +8,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.inputs.check_task import earlier_of
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import best_prices, bounds_of, in_time, matrix, prices_ahead, slack_of
 from missionsim.planner.chains import within
@@ -283,7 +282,7 @@ def _bound(site: Site, made: float) -> tuple[float, float]:
 
 
 def _cut(
-    arcs: NDArray[np.intp], cost: Array, rows: list[Array], sides: list[float], needed: list[float]
+    arcs: Ints, cost: Array, rows: list[Array], sides: list[float], needed: list[float]
 ) -> tuple[float, list[Array], list[float]]:
     """The least cost of drives (one variable for each of the arcs) and visits, and the rows with the cuts found."""
     import networkx as nx

@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import visible
 from missionsim.files import atomic_write, plain
 from missionsim.numerals import rounded
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -283,7 +282,7 @@ def one_of(label: str, options: Sequence[tuple[str, Sequence[Block]]], note: str
     return [*([Paragraph(note, small=True)] if note else []), *shown]
 
 
-def min_max_indices(values: Array, points: int) -> NDArray[np.int64]:
+def min_max_indices(values: Array, points: int) -> Int64s:
     """Indices of a series to draw: the lowest and highest value of each of ``points/2`` equal stretches, and both ends.
 
     `values` (shape (n,)): the series; NaN are kept only where a stretch has nothing else. `points`: upper limit of the
@@ -306,7 +305,7 @@ def min_max_indices(values: Array, points: int) -> NDArray[np.int64]:
     return np.unique(chosen)
 
 
-def shared_indices(series: list[Array], points: int) -> NDArray[np.int64]:
+def shared_indices(series: list[Array], points: int) -> Int64s:
     """Indices that keep the peaks of several series on one axis; `points` is the limit for all of them together."""
     if not series:
         return np.zeros(0, dtype=np.int64)

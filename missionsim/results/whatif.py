@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +14,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
-from missionsim.files import Json, fields_of
+from missionsim.files import Json, PathLike, fields_of
 from missionsim.inputs.loading import load_mission, load_study, remembered
 from missionsim.inputs.overrides import route
 from missionsim.inputs.power import build_power_model
@@ -155,7 +154,7 @@ def varied(
     return made
 
 
-def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
+def from_study(path: PathLike) -> tuple[Path, list[Alternative]]:
     """Mission and alternatives of a study file, the baseline first."""
     study = load_study(path)
     base = tuple(study.baseline.items())
@@ -175,10 +174,7 @@ def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
 
 
 def run_alternatives(
-    mission: str | os.PathLike[str],
-    alternatives: Sequence[Alternative],
-    done: Callable[[], object] = lambda: None,
-    workers: int = 1,
+    mission: PathLike, alternatives: Sequence[Alternative], done: Callable[[], object] = lambda: None, workers: int = 1
 ) -> WhatIf:
     """Run every alternative in full.
 
@@ -217,11 +213,11 @@ _AT_ONCE = 50
 _Tried = tuple[RunResult | None, Sequence[Fault], Sequence[Fault]]
 
 
-def _run_part(mission: str | os.PathLike[str], alternatives: Sequence[Alternative]) -> list[_Tried]:
+def _run_part(mission: PathLike, alternatives: Sequence[Alternative]) -> list[_Tried]:
     return list(_tried(mission, alternatives))
 
 
-def _tried(mission: str | os.PathLike[str], alternatives: Sequence[Alternative]) -> Iterator[_Tried]:
+def _tried(mission: PathLike, alternatives: Sequence[Alternative]) -> Iterator[_Tried]:
     """Result (its totals by segment), faults and warnings of each alternative."""
     models: dict[int, PowerModel] = {}  # of robots without change, which are remembered: their identity stays their own
     with remembered():

@@ -7,12 +7,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.runs.alike import FEWEST, as_near, beyond, copies
 from missionsim.runs.beside import FEWEST_LEVELS, LOADS, Others, Usual, correlation, offsets, runs_beside
 from missionsim.runs.covariates import is_switch
@@ -168,7 +167,7 @@ def _downwards(runs: Sequence[Run], battery: str) -> str:
     ):
         # of the rows of one direction of travel: speed times slope and power, both without what goes with speed and
         # yaw rate, and the number of the block of time
-        parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
+        parts: list[tuple[Array, Array, Ints]] = []
         for run in runs:
             speed, slope, watts = run.number("speed_m_s"), run.number("slope_rad"), run.power_w[battery]
             yaw = np.abs(run.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in run.columns else 0.0 * speed

@@ -10,14 +10,13 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.runs.alike import FEWEST, as_near
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive, filled
@@ -286,7 +285,7 @@ def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Itera
         )
 
 
-def correlation(measured: Array, said: Array) -> tuple[NDArray[np.int64], Array]:
+def correlation(measured: Array, said: Array) -> tuple[Int64s, Array]:
     """Rows by which one follows the other, up to a quarter of the run either way, and the correlation there."""
     a, b = measured - measured.mean(), said - said.mean()
     size = 1 << int(np.ceil(np.log2(2 * len(a))))

@@ -11,13 +11,12 @@ from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects import covariates as derived
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.physics.lag import Meter, lagged, metered
 from missionsim.runs.covariates import ASSUMED, clock_of, is_switch
 from missionsim.runs.run import Run
@@ -269,7 +268,7 @@ def _shown(run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | 
     if fresh is None:
         return run.power_w[battery], model_w
     readings = np.flatnonzero(fresh)
-    reading: NDArray[np.int64] = np.cumsum(fresh) - fresh.astype(np.int64)
+    reading: Int64s = np.cumsum(fresh) - fresh.astype(np.int64)
     last = np.append(readings, len(fresh) - 1)[reading]
     seconds = np.bincount(reading, dt_s)
     joules = np.bincount(reading, model_w * dt_s)

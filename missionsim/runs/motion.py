@@ -6,13 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Covariates, is_moving
 from missionsim.effects.timeline import Timeline
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 
 Still = tuple[float, float]
 """Speed [m/s] and yaw rate [rad/s] below which a robot stands."""
@@ -68,7 +67,7 @@ def middle_of(line: Timeline) -> Columns:
     return {name: c + line.rates[name] * half if name in line.rates else c for name, c in line.columns.items()}
 
 
-def scheme_codes(columns: Covariates, count: int, *, ignore: bool) -> tuple[NDArray[np.int64], list[str]]:
+def scheme_codes(columns: Covariates, count: int, *, ignore: bool) -> tuple[Int64s, list[str]]:
     """Scheme of each row as a code, and the names; one nameless scheme with `ignore` or where none is logged."""
     scheme = columns.get("scheme")
     if ignore or scheme is None:
@@ -154,7 +153,7 @@ def mean_ratio(ratios: Array) -> float | None:
     return float(np.exp(np.mean(np.log(known)))) if len(known) else None
 
 
-def kinds_of_motion(cov: Covariates) -> NDArray[np.int64]:
+def kinds_of_motion(cov: Covariates) -> Int64s:
     """Index into `MOTIONS` of each row, shape (n,)."""
     speed = np.abs(cov["speed_m_s"])
     moving = np.asarray(is_moving(cov))

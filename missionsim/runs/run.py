@@ -13,18 +13,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.files import sha256
 from missionsim.glossary import column_of
 from missionsim.labels import ColumnData, Labels
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools
 from missionsim.runs.covariates import is_switch
 
 if TYPE_CHECKING:
     from missionsim.logs.raw import Remark
 
-Bools = NDArray[np.bool_]
 _MEASURED = ("time_s", "power_<battery>_w", "current_<battery>_a", "energy_<battery>_wh")
 
 
@@ -118,7 +116,7 @@ class Run:
                 found[name] = data
         return found
 
-    def rows_where(self, keep: NDArray[np.bool_] | slice) -> Run:
+    def rows_where(self, keep: Bools | slice) -> Run:
         """The same run with only the chosen rows; each keeps the time that it stood for."""
         columns = {name: data[keep] for name, data in self.columns.items()}
         power_w = {name: power[keep] for name, power in self.power_w.items()}

@@ -10,11 +10,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import Json
-from missionsim.physics import Array
+from missionsim.physics import Array, Ints
 from missionsim.uncertainty.draws import left_to_chance, run_generator
 from missionsim.uncertainty.store import BlockStore
 
@@ -261,7 +260,7 @@ def _varies(values: Array) -> bool:
     return bool(np.ptp(values) > 1e-12 * np.abs(values).max())
 
 
-def _ranks(values: Array) -> tuple[Array, NDArray[np.intp], int]:
+def _ranks(values: Array) -> tuple[Array, Ints, int]:
     """Ranks, those of equal values their mean; the least ranks of equal values; and how many are distinct."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     least = np.cumsum(counts) - counts

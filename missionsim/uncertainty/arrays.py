@@ -27,7 +27,7 @@ from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import RunSetup, simulate
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
-from missionsim.physics import Array
+from missionsim.physics import Array, Bools, Int64s, Ints
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty import intervals as spans
@@ -60,7 +60,7 @@ class ArrayMission:
     """What the nominal run consists of: its legs, and waits for components that start up."""
 
     def block(
-        self, seed: int, first: int, count: int, draws: Draws | None = None, runs: NDArray[np.int64] | None = None
+        self, seed: int, first: int, count: int, draws: Draws | None = None, runs: Int64s | None = None
     ) -> dict[str, NDArray[np.generic]]:
         """Columns of the runs ``first … first + count − 1``, or of others at their draws."""
         own = np.arange(first, first + count, dtype=np.int64) if runs is None else runs
@@ -74,7 +74,7 @@ class ArrayMission:
                 column[chosen] = made[name]
         return columns
 
-    def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[np.generic]], NDArray[np.bool_]]:
+    def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[np.generic]], Bools]:
         """Columns at given draws, and the runs that need SimPy. `draws`: value name → ndarray of shape (count,)."""
         columns, again = columns_of(self.mission, self.model, count), np.zeros(count, dtype=bool)
         columns |= {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in self.mission.robot.batteries}
@@ -99,7 +99,7 @@ class ArrayMission:
         setup = RunSetup(self.mission, plan_runs(self.mission, numbers), self.model, numbers, {})
         return setup, {name: np.asarray(value)[:, None] for name, value in drawn.items()}
 
-    def _part(self, draws: Draws, count: int, columns: Mapping[str, NDArray[Any]], again: NDArray[np.bool_]) -> None:
+    def _part(self, draws: Draws, count: int, columns: Mapping[str, NDArray[Any]], again: Bools) -> None:
         """Plan some runs and evaluate them in pieces."""
         setup, values = self._planned(draws)
         plan = setup.plan
@@ -131,7 +131,7 @@ class ArrayMission:
         setup: RunSetup,
         values: Mapping[str, Array],
         columns: Mapping[str, NDArray[Any]],
-        again: NDArray[np.bool_],
+        again: Bools,
     ) -> None:
         """Evaluate some runs into their part of the columns, in J and Wh."""
         duration = intervals.duration(part)
@@ -267,7 +267,7 @@ class ArrayMission:
         knots: Array,
         values: Mapping[str, Array],
         parts: Mapping[tuple[str, str], Array],
-        part_of: NDArray[np.intp],
+        part_of: Ints,
     ) -> dict[str, Array | float]:
         """Energy by battery and interval, shape (runs, intervals), in J; the power of a battery in W where it never
         changes. By component it is added to `parts`."""

@@ -26,7 +26,7 @@ from missionsim.files import Json, sha256, to_json, write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL, proportion_interval, summarise
 from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
@@ -82,7 +82,7 @@ class Prepared:
         return "simpy" if self.arrays is None else "arrays"
 
     def block(
-        self, seed: int, first: int, count: int, draws: Draws | None = None, runs: NDArray[np.int64] | None = None
+        self, seed: int, first: int, count: int, draws: Draws | None = None, runs: Int64s | None = None
     ) -> dict[str, NDArray[np.generic]]:
         """Columns of the runs ``first … first + count − 1``, or of others at their draws."""
         if self.arrays is not None:

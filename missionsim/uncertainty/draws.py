@@ -23,7 +23,7 @@ from missionsim.files import Json
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Distribution, uncertain_values
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.intervals import PROGRESS_POINTS
@@ -245,7 +245,7 @@ def simulate_block(
     first: int,
     count: int,
     draws: Draws | None = None,
-    runs: NDArray[np.int64] | None = None,
+    runs: Int64s | None = None,
 ) -> dict[str, NDArray[np.generic]]:
     """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message.
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Covariates, Labels, Truth
 from missionsim.effects.timeline import Timeline
@@ -24,7 +23,7 @@ from missionsim.engine.meter import alone
 from missionsim.engine.recorder import REST
 from missionsim.engine.simulate import RunSetup
 from missionsim.files import grouped
-from missionsim.physics import Array, Value
+from missionsim.physics import Array, Ints, Value
 from missionsim.plan.legs import Leg, Phase, Plan, covariates_of, table
 
 _RATE = "d/dt "
@@ -89,9 +88,7 @@ class Progress:
         return found
 
 
-def one_after_the_other(
-    cov: Covariates, rates: Covariates, duration: Array, knots: Array, which: NDArray[np.intp]
-) -> Timeline:
+def one_after_the_other(cov: Covariates, rates: Covariates, duration: Array, knots: Array, which: Ints) -> Timeline:
     """Some of the intervals of all runs, run by run. `cov`, `rates`, `duration`: shape (runs, intervals) or
     (intervals,); `knots` (shape (intervals + 1, runs)): instants between them; `which`: intervals."""
 
@@ -111,8 +108,8 @@ class Intervals:
 
     plan: Plan
     phases: tuple[Phase, ...]
-    leg_of: NDArray[np.intp]
-    part_of: NDArray[np.intp]
+    leg_of: Ints
+    part_of: Ints
 
     @classmethod
     def of(cls, plan: Plan, phases: Sequence[Phase] | None = None, parts: Sequence[int] | None = None) -> Intervals:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _LIST = re.compile(r"\s*\[[-+.\deE,\snaN]*\]\s*\Z")
-_MOST_ELEMENTS = 16
+MOST_ELEMENTS = 16
 
 
 def flattened(table: pa.Table) -> pa.Table:
@@ -36,7 +36,7 @@ def flattened(table: pa.Table) -> pa.Table:
 
 def elements(name: str) -> list[str]:
     """What the elements of a list in the cells of a column are called."""
-    return [f"{name}[{index}]" for index in range(_MOST_ELEMENTS)]
+    return [f"{name}[{index}]" for index in range(MOST_ELEMENTS)]
 
 
 def with_elements(raw: RawTable) -> RawTable:

@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.logs.raw import Remark
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 
 _CLOCKS_APART_S = 5.0
 _STAMPS_APART_S = 0.5
@@ -24,8 +23,6 @@ _RATE_OVER_S = 10.0
 _BACK_S = 1.0
 """Late messages come a little out of order; a clock that goes back by more began anew."""
 
-Stamps = NDArray[np.int64]
-"""[ns] since 1970, or since the start of a simulation."""
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_FIELDS = ("clock.sec", "clock.nanosec")
 
@@ -35,15 +32,15 @@ class _Simulated:
     """Simulated time over the times at which the bag received it."""
 
     topic: str
-    received: Stamps
-    time: Stamps
+    received: Int64s
+    time: Int64s
 
     @property
     def rate(self) -> float:
         """Simulated seconds in one of the bag's."""
         return float(self.time[-1] - self.time[0]) / float(self.received[-1] - self.received[0])
 
-    def at(self, received: Stamps) -> Stamps:
+    def at(self, received: Int64s) -> Int64s:
         """The simulated time at which messages were received; before and after its first and last, at its mean rate."""
         since, grown = (received - self.received[0]).astype(float), (self.time - self.time[0]).astype(float)
         span = float(self.received[-1] - self.received[0])
@@ -52,7 +49,7 @@ class _Simulated:
         return np.asarray(self.time[0] + np.round(inside + outside).astype(np.int64))
 
 
-def _simulated(topic: str, received: Stamps, time: Stamps) -> _Simulated | None:
+def _simulated(topic: str, received: Int64s, time: Int64s) -> _Simulated | None:
     """None where it is too short to tell a rate, or began anew."""
     order = np.argsort(received, kind="stable")
     received, time = received[order], time[order]
@@ -66,7 +63,7 @@ def _simulated(topic: str, received: Stamps, time: Stamps) -> _Simulated | None:
 def common_times(
     stamps: Mapping[str, tuple[array.array[int], array.array[int]]],
     clock: str,
-    simulated: tuple[str, Stamps, Stamps] | None,
+    simulated: tuple[str, Int64s, Int64s] | None,
     remarks: list[Remark],
 ) -> tuple[dict[str, Array], float]:
     """Times of each topic's messages [s] from the first, all by the same clock, and that of the first.
@@ -112,12 +109,12 @@ def common_times(
     return seconds, start * 1e-9
 
 
-def _with_header(pair: NDArray[np.int64]) -> NDArray[np.int64]:
+def _with_header(pair: Int64s) -> Int64s:
     """The messages that have a time in their header; before a simulation's clock comes, it is nought."""
     return pair[:, pair[0] != pair[1]]
 
 
-def _by_headers(pairs: Mapping[str, NDArray[np.int64]]) -> _Simulated | None:
+def _by_headers(pairs: Mapping[str, Int64s]) -> _Simulated | None:
     """The headers of the topic with most messages, where they run at another rate than the bag's clock."""
     headed = {name: _with_header(pair) for name, pair in pairs.items()}
     name = max(headed, key=lambda name: headed[name].shape[1], default="")
@@ -127,17 +124,17 @@ def _by_headers(pairs: Mapping[str, NDArray[np.int64]]) -> _Simulated | None:
     return found if long and abs(found.rate - 1.0) > _RATES_APART else None
 
 
-def _apart_s(one: Stamps, other: Stamps) -> float:
+def _apart_s(one: Int64s, other: Int64s) -> float:
     return abs(float(np.median(one - other))) * 1e-9
 
 
-def _goes_by(sim: _Simulated, pairs: Mapping[str, NDArray[np.int64]]) -> bool:
+def _goes_by(sim: _Simulated, pairs: Mapping[str, Int64s]) -> bool:
     """Whether headers have this simulated time; or none has any."""
     headed = [pair for pair in map(_with_header, pairs.values()) if pair.size]
     return not headed or any(_apart_s(header, sim.at(received)) < _CLOCKS_APART_S for header, received in headed)
 
 
-def _to_simulated(sim: _Simulated, pairs: dict[str, NDArray[np.int64]], guessed: bool, remarks: list[Remark]) -> None:
+def _to_simulated(sim: _Simulated, pairs: dict[str, Int64s], guessed: bool, remarks: list[Remark]) -> None:
     """Bring what has the bag's time to simulated time, and tell it."""
     moved = []
     for name, pair in pairs.items():

@@ -20,6 +20,7 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.files import first_line
 from missionsim.labels import Labels
+from missionsim.logs.formats.arrays import MOST_ELEMENTS
 from missionsim.logs.raw import ColumnData, Remark, damaged, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.times import TimeError, is_stamp, read_stamps
@@ -35,7 +36,6 @@ _KIND = re.compile(r"(\w+\.)?(mavpackettype|(msg|message|packet)_?(type|name)?|t
 """What a field is called that says what a message is."""
 _MOST_KINDS = 100
 _EPOCH = re.compile(r"\d{9,19}(\.\d+)?\Z")
-_MOST_ELEMENTS = 16
 _MOST_FAULTS = 20
 _LEAST_ROWS = 20
 """Values from which on a list in a lone object is a column, where none is called a time."""
@@ -210,7 +210,7 @@ def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
     elif isinstance(value, list):
         if not value or any(isinstance(item, dict) for item in value):
             yield f"{path}.count", float(len(value))
-        for index, item in enumerate(value[:_MOST_ELEMENTS]):
+        for index, item in enumerate(value[:MOST_ELEMENTS]):
             yield from flat(item, f"{path}[{index}]")
     elif isinstance(value, bool):
         yield path, float(value)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, numbers_in
-from missionsim.physics import Array
+from missionsim.physics import Array, Int64s
 
 Types = Mapping[str, tuple[Any, Any]]
 """Type of a message → its constants and fields, as rosbags has them."""
@@ -155,7 +155,7 @@ class Held:
             if len(column) <= before:  # an element that this message does not have
                 column.append("" if isinstance(column, list) else np.nan)  # type: ignore[arg-type]
 
-    def add_many(self, stamps: NDArray[np.int64], received: NDArray[np.int64], columns: dict[str, Array]) -> None:
+    def add_many(self, stamps: Int64s, received: Int64s, columns: dict[str, Array]) -> None:
         self.stamps.frombytes(stamps.tobytes())
         self.received.frombytes(received.tobytes())
         for name, values in columns.items():

@@ -12,24 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import first_line, needed, unreadable
+from missionsim.logs.formats.arrays import MOST_ELEMENTS
 from missionsim.logs.formats.bag_times import CLOCK_FIELDS, CLOCK_TYPE, common_times
 from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
 from missionsim.logs.formats.salvage import whole_files
 from missionsim.logs.raw import Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
+from missionsim.physics import Int64s
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[^\]]+\])*)\Z")
 _STATUS = re.compile(r"(/[^.\[]+)\[(.+?)\]\.(.+)\Z", re.DOTALL)
-_MOST_ELEMENTS = 16
-"""Elements of an array that a listing shows."""
 _Get = Callable[[Any], Any]
 
 
@@ -156,7 +155,7 @@ def _read(files: list[Path], file: str, options: Options, remarks: list[Remark])
     return Recording([*topics, *blank], remarks, start_s)
 
 
-def _simulated_time(held: Held) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def _simulated_time(held: Held) -> tuple[Int64s, Int64s] | None:
     """When the messages of a clock were received, and the times in them [ns]."""
     columns = held.columns()
     if not set(CLOCK_FIELDS) <= columns.keys():
@@ -250,9 +249,9 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
         yield path, value
     elif isinstance(value, np.ndarray):
-        yield from ((f"{path}[{index}]", number) for index, number in enumerate(value[:_MOST_ELEMENTS].tolist()))
+        yield from ((f"{path}[{index}]", number) for index, number in enumerate(value[:MOST_ELEMENTS].tolist()))
     elif isinstance(value, list):
-        for index, item in enumerate(value[:_MOST_ELEMENTS]):
+        for index, item in enumerate(value[:MOST_ELEMENTS]):
             yield from _leaves(item, f"{path}[{index}]")
     elif hasattr(value, "__dataclass_fields__"):
         kind: Any = type(value)
