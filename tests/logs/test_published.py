@@ -141,8 +141,9 @@ def test_a_counter_that_braking_lowers_is_left_alone(tmp_path: Path) -> None:
     assert not any("begins anew" in remark.message for remark in log.remarks)
 
 
-def test_energy_of_each_row_is_no_counter(tmp_path: Path) -> None:
-    log, found = imported(tmp_path, table() | {"Wh per step": POWER * 0.1 / 3600.0})
+@pytest.mark.parametrize("name", ["Wh per step", "energy_step_wh"])
+def test_energy_of_each_row_is_no_counter(tmp_path: Path, name: str) -> None:
+    log, found = imported(tmp_path, table() | {name: POWER * 0.1 / 3600.0})
     assert log.energy_wh("robot") == pytest.approx(ENERGY_WH, rel=0.01)
     assert found.columns["power_robot_w"].sure == "a guess"
 

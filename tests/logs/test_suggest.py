@@ -382,3 +382,11 @@ def test_columns_that_are_called_as_components_of_the_robot(tmp_path: Path, caps
     assert main([*suggest, "pioneer3dx"]) == 0
     assert "on_kinect: Kinect" in (tmp_path / "m.yaml").read_text()
     assert "is it one of Lampe?" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_a_speed_in_the_file_of_the_motors_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, head in (("motors", "time,speed"), ("battery", "time,voltage,current")):
+        rows = "".join(f"{i},{0.1 * (i % 7)}{f',{2 + i % 3}' * head.count('voltage')}\n" for i in range(60))
+        (tmp_path / f"run_1_{name}.csv").write_text(f"{head}\n{rows}")
+    main(["import", str(tmp_path), "--suggest", "--out", str(tmp_path / "m.yaml")])
+    assert "perhaps it is one of motors.speed" in capsys.readouterr().out
