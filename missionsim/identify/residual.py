@@ -147,8 +147,8 @@ def dependences(model: Model) -> list[Structure]:
             size = _size(model, fitted)
             if not (p_value * len(tests) < level and gain > least and size > 2 * model.constraints.settings.min_share):
                 continue
-            if name not in out or out[name].gain_nats < gain:
-                left_w = _beside(model, fitted)
+            left_w = _beside(model, fitted)
+            if _size(model, left_w) > const.LEAST_LEFT and (name not in out or out[name].gain_nats < gain):
                 shape = _words(model, name, times, knots, values, left_w)
                 out[name] = Structure(name, p_value * len(tests), gain, _size(model, left_w), shape, times)
             break

@@ -232,6 +232,9 @@ CURVE_LEVEL = 1e-4
 """Level, shared by all covariates, at which the residual depends on one."""
 CURVE_NATS = 8.0
 """Least gain of a curve [nats], about what slow noise gives five free values."""
+LEAST_LEFT = 0.005
+"""Least size of what neither the base nor the effects take of a curve, in parts of the mean power (measured: 0.0031 to
+0.0035 by rows of a second in which a robot starts, 0.026 to 0.055 for what is missing)."""
 CURVE_NATS_ON_RAMPS = 50.0
 """The same with rows beside ramps in, which bend curves."""
 RAMP = 0.03

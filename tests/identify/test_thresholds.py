@@ -127,6 +127,16 @@ def test_a_residual_that_depends_on_a_covariate(
     assert bool(residual.dependences(model)) is told
 
 
+@pytest.mark.parametrize(("part", "told"), [(0.004, False), (0.006, True)])
+def test_a_curve_that_the_base_takes_nearly_whole_is_none(
+    monkeypatch: pytest.MonkeyPatch, part: float, told: bool
+) -> None:
+    """Rows of a second with nothing missing were "something is missing … (by 0.2 % of the power)"."""
+    model = free_curve(monkeypatch, lambda *_: (30.0, 1e-9))
+    monkeypatch.setattr(residual, "_beside", lambda *_: np.array([-part, part]) * LAYOUT.mean_power_w)
+    assert bool(residual.dependences(model)) is told
+
+
 def test_a_residual_that_depends_on_a_text_is_told_by_its_texts(monkeypatch: pytest.MonkeyPatch) -> None:
     """ "gait: lowest at 1.00, highest at 2.00"."""
     model = free_curve(monkeypatch, lambda *_: (30.0, 1e-9))
