@@ -28,6 +28,9 @@ LEAST_BETTER = 0.98
 """A law lowers the error of left-out runs at least to this part: what is left of the form of another law does not."""
 FEW_BETTER = 0.95
 """The same where the base is far from right and the runs are too few to be the sample."""
+OF_BASE = 0.03
+"""Part of the square of a law that the base cannot imitate, up to which the law may be no more than rows that are half
+in motion (measured: 0.005 to 0.015 of such, 0.05 to 0.5 of others)."""
 HALF_ROWS = 0.5
 """Most of what the base cannot imitate of a law that may lie in rows in which terms of the base switch, or beside them
 (measured: 0.67 to 0.91 where rows of a second in which a robot starts are all there is, 0.1 to 0.4 for a true law)."""
@@ -77,15 +80,16 @@ def gates(fitted: Fitted, *, clock: bool = False) -> Gates:
 
 
 def _in_half_rows(model: Model) -> float:
-    """Part of what the base cannot imitate of the last column that lies in rows in which its terms switch, or beside
-    them: a robot drives through a part of such a row, which a threshold of the speed looks like."""
+    """Part of what the base cannot imitate of the last column, where that is little, that lies in rows in which its
+    terms switch, or beside them: a robot drives through a part of such a row, as a threshold of the speed says."""
     design = model.design
     weight = np.sqrt(design.duration_s)
     rows = np.vstack([design.gradient[: len(design.layout.parameters)], design.phi[list(model.chosen[:-1])]]) * weight
     own = design.phi[model.chosen[-1]] * weight
     left = (own - rows.T @ np.linalg.lstsq(rows.T, own, rcond=None)[0]) ** 2
     switched = np.convolve(design.gradient[-1] != 0.0, np.ones(3), "same") > 0
-    return float(left[switched].sum() / max(float(left.sum()), 1e-300))
+    of_base = left.sum() <= OF_BASE * (own**2).sum()
+    return float(left[switched].sum() / max(float(left.sum()), 1e-300)) if of_base else 0.0
 
 
 @dataclass(frozen=True)

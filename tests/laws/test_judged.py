@@ -117,6 +117,8 @@ def test_a_threshold_that_only_rows_of_starts_and_stops_tell_is_none(threshold: 
     design = SimpleNamespace(layout=layout, gradient=gradient, phi=np.array([speed > threshold], float))
     design.duration_s = np.ones(len(speed))
     assert (in_half_rows(SimpleNamespace(design=design, chosen=(0,))) > gates.HALF_ROWS) is half
+    design.phi = (jumps * moving)[None]  # what is nothing like the base is no form of it, as a turn from rest
+    assert in_half_rows(SimpleNamespace(design=design, chosen=(0,))) == 0.0
 
 
 @pytest.mark.parametrize("drifts", [False, True])
