@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from missionsim.compare.comparison import thousandfold
 from missionsim.compare.where import WORTH_SAYING, Accumulator, Where, dependences, ranked
 from missionsim.diagnose.examine import Examined, Subject, examine
 from missionsim.diagnose.execution import execution_effects, seen_once, told_of
@@ -335,8 +336,11 @@ def _far(recalibration: Sequence[findings.Recalibrated], limit: float, mean_powe
         units = any(one.shift > OTHER_UNIT - 1.0 or one.shift < 1.0 / OTHER_UNIT - 1.0 for one in moved)
         if abs(sum(signed.values())) < TRADED * max(watts.values()):
             return f"the base of the robot file, of which some gained what the rest lost, was fitted anew: {shifts}"
+        was_w = sum(float(np.nan_to_num(one.power_w)) for one in moved)
+        if factor := thousandfold(was_w + sum(signed[one.parameter] for one in moved), was_w):
+            factor = f" (all of it about {factor}: is the meter's unit the watt?)"
         what = f"far from right{', in other units perhaps,' * units} and was fitted anew"
-        return f"the base of the robot file is {what}: {shifts}"
+        return f"the base of the robot file is {what}: {shifts}{factor}"
     if not alone:
         return ""
     return "the base of the robot file does not describe these runs; which of its parameters is off they do not say"

@@ -424,6 +424,17 @@ def test_what_moves_the_power_of_a_base_is_told_first() -> None:
     assert "in other units perhaps" not in diagnosis._far([c3], 4.0, 6.0, alone=True)
 
 
+@pytest.mark.parametrize(("shift", "told"), [(999.0, "1,000 times"), (-0.999, "1/1,000"), (99.0, "")])
+def test_a_base_that_is_off_by_a_thousand_asks_for_the_unit_of_the_meter(shift: float, told: str) -> None:
+    """Of milliwatts it was said that "payload costs 760 W per kg and m/s", and nothing of them."""
+    both = [
+        Recalibrated(parameter=name, shift=shift, shift_sd=0.0, shift_in_prior_sd=-9.0, power_w=2.0)
+        for name in ("c3", "c4")
+    ]
+    text = diagnosis._far(both, 4.0, 4000.0, alone=True)
+    assert text.endswith(f" % (all of it about {told}: is the meter's unit the watt?)" if told else " %")
+
+
 @pytest.mark.parametrize(("power_w", "traded"), [(0.35, True), (0.25, False)])
 def test_a_base_of_which_parameters_trade_is_not_called_wrong(power_w: float, traded: bool) -> None:
     """c3 -68 %, c2 +325 % of a base that was calibrated on the flat: over few speeds the two are one."""
