@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,10 +20,8 @@ from missionsim.effects import named_models
 from missionsim.errors import InputError
 from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
+from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array, Bools, electrical, f64
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 TX2_STEP_HZ = 153.6e6
 """Grid of the Jetson TX2's clocks (assumed between the printed end points)."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar
 
 from missionsim.files import Json, PathLike, fields_of, write_text
-from missionsim.identify.settings import ALPHA
+from missionsim.identify.settings import ALPHA, Settings
 from missionsim.numerals import counted, in_wh, rounded, watts
 
 if TYPE_CHECKING:
@@ -241,7 +241,6 @@ def diagnose(
     `alpha` is the family-wise rate of false alarms; `align` finds the delay of the meter.
     """
     from missionsim.diagnose.diagnosis import diagnose_files
-    from missionsim.identify.settings import Settings
 
     settings = Settings(alpha=alpha, align=align)
     path = None if mission is None else Path(mission)
@@ -266,7 +265,6 @@ def add_effect(
         The logs do not support it, and `force` is not set.
     """
     from missionsim.diagnose.adopt import adopt
-    from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
 
     split = _split(robot, logs, holdout)
@@ -284,7 +282,6 @@ def improve(
 ) -> Answer[Improved]:
     """Compare, diagnose, add, until nothing is left to find, for one battery; see ``missionsim improve --yes``."""
     from missionsim.diagnose.improve import improve as run_improve
-    from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
 
     split = _split(robot, logs, holdout)

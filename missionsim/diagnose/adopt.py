@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.diagnose.diagnosis import Named, judged
 from missionsim.diagnose.examine import Examined, Subject, examine
@@ -23,11 +23,9 @@ from missionsim.identify.identification import fit_effects
 from missionsim.identify.settings import Settings
 from missionsim.inputs import edit
 from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.robot import RobotSpec
 from missionsim.physics.lag import Meter
 from missionsim.runs.covariates import is_switch
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 
 class NotSignificant(MissionsimError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from missionsim.diagnose.meter import with_meter
 from missionsim.diagnose.proposed import as_finding, as_written, with_law
 from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.waterfall import noted
+from missionsim.effects.timeline import Timeline
 from missionsim.errors import InputError
 from missionsim.fit.final import FinalFit
 from missionsim.identify import findings
@@ -35,10 +36,7 @@ from missionsim.laws.proposal import REPLACED
 from missionsim.logs import describe
 from missionsim.runs.covariates import MOTION, logged_name
 from missionsim.runs.drive import drive
-
-if TYPE_CHECKING:
-    from missionsim.effects.timeline import Timeline
-    from missionsim.runs.run import Run
+from missionsim.runs.run import Run
 
 MOST_WHERE = 4
 MOST_SHIFTS = 4

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +13,8 @@ from missionsim.diagnose.manoeuvres import sharpest
 from missionsim.diagnose.split import Split, lacking, stretches, with_same_causes
 from missionsim.diagnose.steady import steady_speed, steady_temperatures
 from missionsim.effects.base import Effect
-from missionsim.effects.model import PowerModel
+from missionsim.effects.covariates import Covariates
+from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.fit.final import of_formula
 from missionsim.fit.parameters import fitted_to, sd_on_other_logs
@@ -25,14 +25,10 @@ from missionsim.identify.predictive import least_squares_clock
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import FEWEST_INTERVALS, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.inputs.power import build_effect, build_power_model
+from missionsim.inputs.robot import RobotSpec
 from missionsim.laws.experiment import CURVATURE
 from missionsim.laws.proposal import propose
 from missionsim.runs.run import Run
-
-if TYPE_CHECKING:
-    from missionsim.effects.covariates import Covariates
-    from missionsim.effects.model import ModelParameter
-    from missionsim.inputs.robot import RobotSpec
 
 NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""

@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.fit.files import read_bounded, read_runs
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, SEVERAL_RUNS, STRETCH_S
+from missionsim.inputs.robot import RobotSpec
 from missionsim.labels import Labels
 from missionsim.logs.read import meters_alike
 from missionsim.numerals import counted
@@ -27,9 +27,6 @@ from missionsim.runs.admit import admit_to_test, unchanging
 from missionsim.runs.covariates import is_switch, logged_name, may_be_cause
 from missionsim.runs.drive import filled
 from missionsim.runs.run import Run
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 BEYOND_SD = 2.0
 """Standard deviations of the fitted runs' means from which on other runs lie beyond them (assumed)."""

@@ -11,19 +11,16 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.exchange.source import Value
 from missionsim.files import atomic_write, fields_of
 from missionsim.inputs.loading import load_environment, load_mission, load_robot
+from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import flat_segments
 from missionsim.plan.build import make_plan
-
-if TYPE_CHECKING:
-    from missionsim.inputs.mission import MissionSpec
-
 
 EARTH_M, _E2 = 6_378_137.0, 6.694379990141e-3
 """Semi-major axis, m, and squared eccentricity of the WGS 84 ellipsoid."""

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from missionsim.files import Json
 from missionsim.fit.calibrate import Calibration, NewRobot, calibrate_new, refit_robot
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
+from missionsim.inputs.robot import RobotSpec
 from missionsim.logs import Remark, describe, read_logs
 from missionsim.runs.admit import admit
 from missionsim.runs.run import Bounded, Run
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 AVERAGED = "averaged"
 """Kind of the remark that rows were averaged."""

@@ -8,12 +8,12 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from missionsim.effects.covariates import is_moving
-from missionsim.effects.model import PowerModel
+from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.files import Json, fields_of
 from missionsim.fit.final import FREE_SD, Value, final_fit
@@ -32,11 +32,6 @@ from missionsim.physics.motion import inertial_power
 from missionsim.runs.covariates import COVARIATES
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
-
-if TYPE_CHECKING:
-    from missionsim.effects.model import ModelParameter
-    from missionsim.runs.run import Run
-
 
 MOST_HASHES = 2_000
 """Runs that a robot file names; a text in a file has at most 20,000 characters."""

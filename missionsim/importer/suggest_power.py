@@ -13,7 +13,7 @@ from missionsim.importer import suggest_meters as meter
 from missionsim.importer.draft import Draft
 from missionsim.importer.roles import ROLES, Guess, folded, says, words_of
 from missionsim.labels import Labels
-from missionsim.logs.refresh import refreshes
+from missionsim.logs.codes import refreshes
 from missionsim.physics import Array
 
 _SIDE = r"\b(left|right|front|rear|fl|fr|rl|rr|l|r|links|rechts|gauche|droite)\b"

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from missionsim.effects.base_terms import unit_named
+from missionsim.effects.base_terms import ALIASES, unit_named
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import Lag, Powers, UnlikeError, compile_expression, units_in
 from missionsim.glossary import COLUMNS, column_of
@@ -324,8 +324,6 @@ class Checker:
         `own`: their parameters; `times`: those that may be time constants of lags; no lag is allowed where there can be
         none.
         """
-        from missionsim.effects.base_terms import ALIASES
-
         parameters = list(own)
         known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
         used: set[str] = set()

@@ -11,7 +11,7 @@ import numpy as np
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.refresh import refreshes
+from missionsim.logs.codes import refreshes
 from missionsim.logs.suspect import SAMPLE, STRETCH, hardly_moves, stretches
 from missionsim.physics import Array, Bools
 from missionsim.physics.lag import Meter, metered

@@ -16,10 +16,10 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import ELECTRIC, Rows, count_on, fill_missing, order_time
+from missionsim.logs.codes import of_one_meter
 from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, is_recording, log_suffixes, not_there, run_of, table_reader
-from missionsim.logs.refresh import of_one_meter
 from missionsim.logs.times import TimeAxis
 from missionsim.numerals import counted
 from missionsim.physics import Bools
@@ -110,7 +110,7 @@ def _with_texts(logs: Sequence[Run]) -> list[Run]:
 
 
 def meters_alike(logs: Sequence[Run]) -> list[Run]:
-    """The same runs, a meter refreshed in each as it is in the others (see `missionsim.logs.refresh.of_one_meter`)."""
+    """The same runs, a meter refreshed in each as it is in the others (see `missionsim.logs.codes.of_one_meter`)."""
     found = list(logs)
     for battery in dict.fromkeys(battery for log in logs for battery in log.power_w):
         for kind, source in _SOURCES.items():

@@ -13,7 +13,10 @@ import functools
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import TypeVar
 
 from missionsim.errors import Fault, InputError, did_you_mean
@@ -129,7 +132,6 @@ def without_codes(topics: list[Topic], remarks: list[Remark]) -> list[Topic]:
 def registry() -> dict[str, Reader]:
     """Every format, by name; the built-in ones first."""
     import pkgutil
-    from importlib import import_module
     from importlib.metadata import entry_points
 
     from missionsim.logs import formats
@@ -251,10 +253,6 @@ def _of_packed(path: Path, head: bytes) -> Reader | None:
 def _unpacked(path: Path, module: str, _changed: int) -> tuple[Path, bool] | None:
     """A file of this process with what a packed one holds, and whether that is whole; None where that is not one
     file, or nothing of it can be read."""
-    from importlib import import_module
-    from shutil import rmtree
-    from tempfile import mkdtemp
-
     name, read = path.stem, 0
     try:
         if module == "zipfile":

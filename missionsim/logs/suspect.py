@@ -13,7 +13,7 @@ from missionsim.errors import did_you_mean
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.refresh import refreshes
+from missionsim.logs.codes import refreshes
 from missionsim.physics import Array, Bools
 
 SAMPLE = 100_000

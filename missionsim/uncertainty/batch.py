@@ -28,7 +28,7 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, Int64s
 from missionsim.plan.build import make_plan
-from missionsim.uncertainty.answers import LEVEL, proportion_interval, summarise
+from missionsim.uncertainty.answers import LEVEL, affordable_samples, proportion_interval, sobol_importance, summarise
 from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
 from missionsim.uncertainty.draws import (
     Draws,
@@ -198,8 +198,6 @@ def answer_batch(
     block that is done; `on_damaged`: the first runs of blocks that are computed again. Gives the answer, and the first
     runs of the blocks that count, in order.
     """
-    from missionsim.uncertainty.answers import affordable_samples, sobol_importance
-
     prepared = prepare(task)
     with store.locked():
         store.begin(identity(task, runs), resume=resume)

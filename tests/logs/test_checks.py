@@ -10,9 +10,9 @@ import pytest
 from missionsim.interface import import_log
 from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log, read_logs
 from missionsim.logs.blocks import write_log
+from missionsim.logs.codes import refreshes
 from missionsim.logs.obstacles import clock_delay
 from missionsim.logs.raw import power_from_energy
-from missionsim.logs.refresh import refreshes
 from tests.logs.conftest import motion, write_csv
 
 

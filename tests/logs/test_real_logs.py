@@ -49,8 +49,8 @@ def test_warthog_turning_is_what_speed_cannot_explain(warthog: list[LogTable]) -
 
 
 def test_warthog_slow_topics_are_seen_without_a_map(shared: Path) -> None:
+    from missionsim.logs.codes import refreshes
     from missionsim.logs.read import read_raw
-    from missionsim.logs.refresh import refreshes
 
     raw = read_raw(shared / "data" / "warthog_drive" / "grass_2024_8_8_16h19s23.csv")
     current = refreshes(np.asarray(raw.columns["left_wheel_current"]), np.asarray(raw.columns["t_s"]))
