@@ -52,7 +52,9 @@ def suggest(draft: Draft) -> None:
             draft.column("heading_rad", ref, _heading_unit(draft, guess))
     from_heading(draft)
     if not speed:
+        said = " ".join(draft.remarks)  # of the rpm of a motor a remark has said what it is
         near = [one.field for one in draft.best("speed", -0.1) if not says("command", words_of(one.field)[0])]
+        near = [name for name in near if f"'{name}'" not in said]
         perhaps = f"; perhaps it is one of {', '.join(near[:4])}: `speed_m_s: SIGNAL`, in m/s" if near else ""
         draft.remarks.append(f"no speed was found: only what stands still can be explained without one{perhaps}")
 
