@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from missionsim.identify.data import Constraints
-from missionsim.identify.evidence import cause_changes_in, cause_is_constant, driven_for
+from missionsim.identify.evidence import cause_is_constant, constant_in_most, driven_for
 from missionsim.identify.findings import Estimate, Finding, Structure
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Gram, all_sets, set_gains, single_gains
@@ -25,6 +25,7 @@ from missionsim.identify.settings import (
     RIVAL_PART,
     RUN_LEVEL,
     SAME_COLUMN,
+    THERE_SD,
 )
 from missionsim.physics import Array
 
@@ -286,28 +287,26 @@ def _sized(choice: Choice, own: Sequence[int], sizes: Mapping[int, float]) -> tu
 
 def _shared(model: Model, own: Sequence[int]) -> tuple[str, ...]:
     """Effects that may have much of one in the model: where such an effect has the most that its 95 % interval beside
-    it allows, it keeps less than `KEPT_PART` of its size.
+    it allows, it keeps less than `KEPT_PART` of its size; or that are there by `THERE_SD`, whatever gate refused them.
 
     A load that goes with the cold from run to run explains what both cost, at twice its size. Each run is one
     observation of causes that are constant in runs, so that one being better than the other says little against both.
     """
     gram, constraints = model.gram, model.constraints
     rest = [k for k in model.chosen if k not in own]
-
-    def told_by_runs(k: int) -> bool:
-        return cause_is_constant(model, k) and not cause_changes_in(model, k).any()
-
-    if len(own) > 1 or not told_by_runs(own[0]):
+    if len(own) > 1 or not constant_in_most(model, own[0]):
         return ()
     alone, found = float(gram.shares([*rest, *own])[-1]), list[str]()
-    for k in range(len(constraints.effect)):
+    inside = constraints.effect[[*model.chosen]]
+    for k in np.flatnonzero(~np.isin(constraints.effect, inside)).tolist():
         name = constraints.of_column(k).effect
-        if name in found or not constraints.compatible(k, model.chosen) or k in model.chosen or not told_by_runs(k):
+        if name in found or not constant_in_most(model, k):
             continue
         (size, other), covariance = (part[-2:] for part in gram.coefficients([*rest, *own, k]))
-        most = other + np.copysign(Z95 * np.sqrt(covariance[1, -1]), constraints.sign[k])
+        sd, sign = float(np.sqrt(covariance[1, -1])), constraints.sign[k]
+        most = other + np.copysign(Z95 * sd, sign)
         kept = size + covariance[0, -1] / covariance[1, -1] * (most - other)
-        if most * constraints.sign[k] > 0.0 and kept / alone < KEPT_PART:
+        if most * sign > 0.0 and (kept / alone < KEPT_PART or other * sign > THERE_SD * sd):
             found.append(name)
     return tuple(found)
 

@@ -207,11 +207,18 @@ def cause_changes_in(model: Model, column: int) -> Bools:
     return np.array([np.nanvar(value) > least for value in values])
 
 
+def constant_in_most(model: Model, column: int) -> bool:
+    """Whether what an effect depends on changes in less than half of the runs, if it is logged."""
+    name = model.constraints.of_column(column).covariate
+    logged = any(name in run.covariates for run in model.source.runs)
+    return logged and bool(np.mean(cause_changes_in(model, column)) < 0.5)
+
+
 def driven_for(model: Model, column: int) -> Bools:
     """In which runs the cause of a column changes that is constant in most, or that of another effect in the model,
     shape (runs,): with and without the load on one floor, the rest of what the load seemed to cost is the floor's."""
-    changes = np.array([cause_changes_in(model, k) for k in {column, *model.chosen}])
-    return np.asarray(np.any(changes[np.mean(changes, axis=1) < 0.5], axis=0))
+    steady = [cause_changes_in(model, k) for k in {column, *model.chosen} if constant_in_most(model, k)]
+    return np.asarray(np.any([np.zeros(len(model.source.runs), dtype=bool), *steady], axis=0))
 
 
 def rests_on_one_run(model: Model, column: int) -> int | None:

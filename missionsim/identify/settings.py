@@ -212,6 +212,9 @@ ACTS_PART = 0.1
 KEPT_PART = 0.7
 """Part of its size that an effect keeps beside the most that another one may have of it, or that is told: true ones
 alone keep 0.74 or more (study), one of two that are both there 0.58 to 0.69."""
+THERE_SD = 3.0
+"""Or whose size beside it is more than this many standard errors: true ones alone have up to 2.3, one of two that are
+both there, and refused, 3.7 (worlds of other formulas)."""
 RIVAL_PART = 0.5
 """Beside what leaves a label more than this part of its gain, it is no question of either-or."""
 EXTRA_EFFECT_NATS = 4.0

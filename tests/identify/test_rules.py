@@ -122,7 +122,9 @@ def test_a_run_in_which_the_cause_of_another_effect_changes_tells_both(
     in every run, as speed does, tells nothing."""
     changes = {0: [0, 0, 0, 0], 1: [0, 0, 1, 0], 2: [1, 1, 0, 1]}
     monkeypatch.setattr(evidence, "cause_changes_in", lambda _, k: np.array(changes[k], dtype=bool))
-    model = SimpleNamespace(chosen=chosen)
+    runs = [SimpleNamespace(covariates={"cause": 1.0})] * 4
+    causes = SimpleNamespace(of_column=lambda _: SimpleNamespace(covariate="cause"))
+    model = SimpleNamespace(chosen=chosen, source=SimpleNamespace(runs=runs), constraints=causes)
     assert np.flatnonzero(evidence.driven_for(model, 0)).tolist() == driven
 
 
@@ -224,24 +226,25 @@ def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
 
 
 @pytest.mark.parametrize(
-    ("together", "driven", "sign", "may_have"),
+    ("together", "there", "most", "sign", "may_have"),
     [
-        (0.9, False, 1, ("b",)),  # half of it, at the most that the other may be
-        (0.5, False, 1, ()),  # a seventh
-        (0.9, True, 1, ()),  # one drive told them apart
-        (0.9, False, -1, ()),  # which physics forbids
+        (0.9, 0.0, True, 1, ("b",)),  # half of it, at the most that the other may be
+        (0.5, 0.0, True, 1, ()),  # a seventh
+        (0.2, 2.9, True, 1, ()),
+        (0.2, 3.1, True, 1, ("b",)),  # standard errors of the other, which some gate refused
+        (0.9, 3.1, False, 1, ()),  # of what changes in most runs they are no few observations
+        (0.9, 0.0, True, -1, ()),  # which physics forbids
     ],
 )
 def test_an_effect_that_goes_with_another_from_run_to_run_may_have_a_part_of_it(
-    monkeypatch: pytest.MonkeyPatch, together: float, driven: bool, sign: int, may_have: tuple[str, ...]
+    monkeypatch: pytest.MonkeyPatch, together: float, there: float, most: bool, sign: int, may_have: tuple[str, ...]
 ) -> None:
     """Of a load that was carried on cold days "payload, sure" had twice its size."""
-    monkeypatch.setattr(estimates, "cause_is_constant", lambda *_: True)
-    monkeypatch.setattr(estimates, "cause_changes_in", lambda *_: np.array([False, driven]))
+    monkeypatch.setattr(estimates, "constant_in_most", lambda _, k: most or k == 0)
     candidates = [Candidate(name, (name,), covariate=name, sign=1 if name == "a" else sign) for name in "ab"]
     constraints = Constraints(np.array([1, sign]), np.arange(2), np.zeros(2, dtype=bool), candidates)
     load, cold = np.array([8.0, 0.0]), 8.0 * np.array([together, np.sqrt(1.0 - together**2)])
-    rows = np.vstack([load, load, cold])
+    rows = np.vstack([load + np.array([0.0, there]), load, cold])
     model = SimpleNamespace(chosen=(0,), constraints=constraints, gram=Gram(rows @ rows.T[None], np.zeros(0)))
     assert estimates._shared(model, [0]) == may_have
 
