@@ -19,7 +19,7 @@ from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit, of_formula
 from missionsim.identify.align import Clock
-from missionsim.identify.design import Source
+from missionsim.identify.design import Source, TooShortError
 from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
 from missionsim.identify.settings import SEVERAL_RUNS, SHIFTED_MEAN_RATIO, SHIFTED_RATIO, Settings
@@ -272,8 +272,8 @@ class Models:
     def shifted(self, effects: Sequence[Finding]) -> HeldOut | None:
         """Errors on runs that differ in kind: those with most of the main effect's covariate are left out.
 
-        Only where enough runs differ in it. Sizes of effects and base are fitted again on the others; names of effects,
-        clock and shapes stay those of all runs.
+        Only where enough runs differ in it and the others are long enough. Sizes of effects and base are fitted again
+        on the others; names of effects, clock and shapes stay those of all runs.
         """
         features = self.features
         if not effects or len(features.runs) <= SEVERAL_RUNS:
@@ -295,7 +295,10 @@ class Models:
             return None
         names = [features.runs[i].run for i in held]
         others, out = ([run for run in self.runs if (run.run in names) == left] for left in (False, True))
-        models = (self.power, self.fit((), runs=others).model, self.fit(effects, runs=others).model)
+        try:
+            models = (self.power, self.fit((), runs=others).model, self.fit(effects, runs=others).model)
+        except TooShortError:
+            return None
         how = f"the {'run' if count == 1 else f'{count} runs'} with most {covariate} left out and predicted"
         return self.held_out(models, out, how, True)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED as FIRST
 from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +23,7 @@ import missionsim
 from missionsim import __version__
 from missionsim.errors import InputError
 from missionsim.files import Json, sha256, to_json, write_text
-from missionsim.inputs.loading import load_mission
+from missionsim.inputs.loading import Override, load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, Int64s
@@ -57,7 +57,8 @@ class Task:
     """What a worker needs to know; everything else it loads itself, once."""
 
     mission: str
-    overrides: tuple[tuple[str, str], ...]
+    overrides: tuple[Override, ...] = field(hash=False)
+    """A study may set mappings, which have no hash."""
     robot: str | None
     seed: int
     engine: str

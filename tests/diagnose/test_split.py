@@ -12,6 +12,7 @@ from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.split import choose_split, parts_of, stretches
 from missionsim.effects.covariates import derive
 from missionsim.errors import InputError
+from missionsim.identify.design import TooShortError
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS
 from missionsim.labels import Labels
 
@@ -214,6 +215,12 @@ def test_the_runs_with_most_of_what_an_effect_is_about_are_predicted_from_the_ot
         held_out=lambda _models, out, _how, _shifted: [run.run for run in out],
     )
     assert Models.shifted(models, [effect]) == left_out
+
+    def of_none_long_enough(_effects: object, runs: object) -> None:
+        raise TooShortError
+
+    models.fit = of_none_long_enough
+    assert Models.shifted(models, [effect]) is None
 
 
 def test_a_single_run_is_cut_into_parts_in_which_its_clocks_go_on() -> None:

@@ -153,6 +153,17 @@ def test_alternatives_tell_how_sure_each_succeeds_and_what_it_keeps(tmp_path: Pa
     assert differences["margin_main_wh"]["mean"] == pytest.approx(-differences["energy_main_wh"]["mean"], rel=1e-9)
 
 
+def test_alternatives_of_a_study_may_set_whole_mappings(tmp_path: Path) -> None:
+    written(tmp_path, "segments:\n  - drive: {distance: 900 m, speed: {value: 0.5 m/s, sd: 3 %}}\n")
+    path, target = tmp_path / "study.yaml", tmp_path / "answer.json"
+    head = "kind: study\nname: lengths\nmission: mission.yaml\nalternatives:\n"
+    path.write_text(head + "  short: {set: {segments.0.drive: {distance: 500 m, speed: 0.5 m/s}}}\n", encoding="utf-8")
+    more = ["--montecarlo", "20", "--quiet", "--json", str(target)]
+    assert run_command(["whatif", "--study", str(path), *more]) == 0
+    rows = json.loads(target.read_text(encoding="utf-8"))["montecarlo"]["alternatives"]
+    assert [row["name"] for row in rows] == ["baseline", "short"]
+
+
 def test_copies_beside_the_blocks_are_none(tmp_path: Path, mission: str) -> None:
     out = tmp_path / "out"
     assert batch(mission, out) == 0
