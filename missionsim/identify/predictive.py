@@ -261,6 +261,7 @@ def shows_alone(design: Design) -> Bools:
     """Which runs tell two effects apart by what changes within them, more than all others together, shape (runs,).
 
     A drive with and without the load on one floor is no draw of what runs are like: without it nothing is predicted.
+    What changes within the others as well, as speed does, asks for no such drive.
     """
     effect = np.array([column.candidate for column in design.layout.columns], dtype=np.intp)
     if len(effect) != len(design.phi):  # of some columns it is not asked
@@ -270,8 +271,10 @@ def shows_alone(design: Design) -> Bools:
     known = len(rows) - len(effect)
     within, whole = (left_by_others(some, known) for some in (sums, sums.sum(axis=0)))
     total = np.diagonal(sums.sum(axis=0))[known:]
+    changes = np.diagonal(within, axis1=1, axis2=2)
+    here = (changes > (1.0 - const.BETWEEN_PART) * changes.sum(axis=0))[:, :, None]
     asked = (whole > const.TOLD_APART * total[:, None]) & (effect[:, None] != effect)
-    return np.asarray(np.any(asked & (within > const.SHOWN_ALONE * whole), axis=(1, 2)))
+    return np.asarray(np.any(here & asked & (within > const.SHOWN_ALONE * whole), axis=(1, 2)))
 
 
 def left_by_others(sums: Array, known: int) -> Array:
