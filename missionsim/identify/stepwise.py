@@ -219,10 +219,10 @@ def with_levels(choice: Choice) -> Choice:
 
 def with_what_runs_differ_by(choice: Choice) -> Choice:
     """The choice with the effect, such as a payload, whose cause is constant in runs and by which they differ, where a
-    noise fitted beside something louder had taken that for runs that differ unusually."""
+    noise fitted without it had taken that for runs that differ by more than is usual."""
     model = choice.model
     options = []
-    for k in np.flatnonzero(~model.constraints.joint) if model.noise.motion_gain > const.UNUSUAL_GAIN else ():
+    for k in np.flatnonzero(~model.constraints.joint) if model.noise.motion_gain > const.USUAL_GAIN else ():
         if int(k) in model.chosen or not cause_is_constant(model, int(k)):
             continue
         fresh = fit_model(model.source, (*model.chosen, int(k)))

@@ -507,6 +507,28 @@ def test_levels_by_which_runs_differ_at_one_in_a_hundred_enter_together(
         assert stepwise.with_levels(choice) is choice
 
 
+@pytest.mark.parametrize(("motion_gain", "asked"), [(0.014, False), (0.016, True)])
+def test_what_runs_differ_by_is_asked_anew_where_they_differ_more_than_usual(
+    monkeypatch: pytest.MonkeyPatch, motion_gain: float, asked: bool
+) -> None:
+    """Eight runs that the noise let differ by 1.8 % hid a friction in the cold of 2 % of the energy."""
+    fitted_anew: list[tuple[int, ...]] = []
+
+    def fit(_: object, chosen: tuple[int, ...]) -> SimpleNamespace:
+        fitted_anew.append(chosen)
+        return SimpleNamespace(chosen=chosen)
+
+    monkeypatch.setattr(stepwise, "fit_model", fit)
+    monkeypatch.setattr(stepwise, "cause_is_constant", lambda *_: True)
+    monkeypatch.setattr(stepwise, "weighed", lambda *_: {0: SimpleNamespace(accepted=False)})
+    constraints = Constraints(np.ones(1, dtype=int), np.zeros(1, dtype=int), np.zeros(1, dtype=bool))
+    noise = SimpleNamespace(motion_gain=motion_gain)
+    model = SimpleNamespace(constraints=constraints, chosen=(), source=None, noise=noise)
+    choice = Choice(model, model, {})
+    assert stepwise.with_what_runs_differ_by(choice) is choice
+    assert fitted_anew == [(0,)] * asked
+
+
 def test_a_run_of_seven_intervals_says_nothing_and_one_of_eight_enters() -> None:
     runs = make_runs(1, count=3)
     for run, intervals in zip(runs[1:], (7, 8), strict=True):

@@ -174,6 +174,8 @@ def test_comments_among_the_rows(tmp_path: Path, faults_of) -> None:
     log = read_log(path)
     assert (log.rows, log.energy_wh("robot")) == (3, pytest.approx(33 / 3600))
     assert [r.message for r in log.remarks] == ["lines that begin with # stand among the rows: 3"]
+    path.write_text("# logger 3\n" + path.read_text())
+    assert len(describe([read_log(path)], notes=True)) == 2  # lines before the header are told beside them
     path.write_text(head + "# paused\n" + rows[0] + "1.5,x,0.2,carpet\n2.5,1,0.1\n# end\n")
     assert {fault.line for fault in faults_of(read_log, path).faults} == {4, 5}
 

@@ -149,7 +149,7 @@ class _File:
             raw = self._raw(held, first)
             if self.comments:
                 told = f"lines that begin with # stand among the rows: {self.comments}"
-                raw.remarks.append(Remark("format", "", told, "they were skipped", "note"))
+                raw.remarks.append(Remark("format", "", told, "skipped, as comments are", "note"))
             if self.cut:
                 told = "the last line is cut short"
                 raw.remarks.append(Remark("format", "", told, "it was left out", "warning", raw.line(count), 1))
