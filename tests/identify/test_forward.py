@@ -517,19 +517,20 @@ def test_few_short_runs_are_cut_nevertheless(runs: int, seconds: int, folds: int
 
 
 @pytest.mark.parametrize(
-    ("loaded", "alone"),
+    ("loaded", "till", "alone"),
     [
-        ({7: 0.5}, [7]),  # with the load and then without, on the floor
-        ({7: 0.0}, []),  # a run that merely differs
-        ({5: 0.5, 6: 0.5, 7: 0.5}, []),  # each of three would do
+        ({7: 0.5}, 200, [7]),  # with the load and then without, on the floor
+        ({7: 0.0}, 200, []),  # a run that merely differs
+        ({5: 0.5, 6: 0.5, 7: 0.5}, 200, []),  # each of three would do
+        ({7: 0.5}, 100, []),  # both change within the others as well
     ],
 )
-def test_a_run_that_alone_tells_two_effects_apart_is_cut(loaded: dict[int, float], alone: list[int]) -> None:
+def test_a_run_that_alone_tells_two_effects_apart_is_cut(loaded: dict[int, float], till: int, alone: list[int]) -> None:
     """A load carried on one floor only, but for a drive that was made to tell: left out as a whole, the others said
     nothing of the load, which was not found, and the floor had the cost of both (held-out error 1.1 as 9.9 %)."""
     rng = np.random.default_rng(3)
     speed, floor, load = rng.uniform(0.2, 0.8, (8, 200)), np.zeros((8, 200)), np.zeros((8, 200))
-    floor[1::2] = load[1::2] = 1.0
+    floor[1::2, :till] = load[1::2, :till] = 1.0
     for run, part in loaded.items():
         floor[run], load[run] = 1.0, np.arange(200) < part * 200
     columns = tuple(Column(number, number, "", 1.0) for number in range(2))
