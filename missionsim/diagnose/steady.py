@@ -21,7 +21,9 @@ def steady_temperatures(run: Run) -> Run:
     from a hall into the cold keeps its instant."""
     from scipy.ndimage import median_filter
 
-    row_s = float(np.median(np.diff(run.time_s)))
+    row_s = float(np.median(np.diff(run.time_s))) if run.rows > 1 else 0.0
+    if row_s <= 0.0:
+        return run
     steady = {}
     for name, column in run.columns.items():
         known = column_of(name)

@@ -208,10 +208,10 @@ def cause_changes_in(model: Model, column: int) -> Bools:
 
 
 def constant_in_most(model: Model, column: int) -> bool:
-    """Whether what an effect depends on changes in less than half of the runs, if it is logged."""
+    """Whether what an effect depends on changes within less than half of the runs, and between them."""
     name = model.constraints.of_column(column).covariate
-    logged = any(name in run.covariates for run in model.source.runs)
-    return logged and bool(np.mean(cause_changes_in(model, column)) < 0.5)
+    means = [np.nanmean(run.covariates[name]) for run in model.source.runs if name in run.covariates]
+    return bool(means and np.ptp(means) > 0.0 and np.mean(cause_changes_in(model, column)) < 0.5)
 
 
 def driven_for(model: Model, column: int) -> Bools:

@@ -166,6 +166,8 @@ def test_a_temperature_is_as_slow_as_what_surrounds_the_robot(step_s: float) -> 
     assert np.sqrt(np.mean(left**2)) < 0.4
     assert np.abs(left).max() < 4.0  # at the gate, the last row of one side or the other
     np.testing.assert_array_equal(steady.number("speed_m_s"), noisy)
+    one = run.rows_where(np.arange(rows) == 0)
+    assert steady_temperatures(one) is one
     gap = np.where(np.arange(rows) == 3, np.nan, noisy)
     run = drive(1, seconds=300.0, step_s=step_s, temp_ambient_c=gap)
     np.testing.assert_array_equal(steady_temperatures(run).number("temp_ambient_c"), gap)

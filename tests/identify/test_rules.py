@@ -122,10 +122,21 @@ def test_a_run_in_which_the_cause_of_another_effect_changes_tells_both(
     in every run, as speed does, tells nothing."""
     changes = {0: [0, 0, 0, 0], 1: [0, 0, 1, 0], 2: [1, 1, 0, 1]}
     monkeypatch.setattr(evidence, "cause_changes_in", lambda _, k: np.array(changes[k], dtype=bool))
-    runs = [SimpleNamespace(covariates={"cause": 1.0})] * 4
+    runs = [SimpleNamespace(covariates={"cause": float(j)}) for j in range(4)]
     causes = SimpleNamespace(of_column=lambda _: SimpleNamespace(covariate="cause"))
     model = SimpleNamespace(chosen=chosen, source=SimpleNamespace(runs=runs), constraints=causes)
     assert np.flatnonzero(evidence.driven_for(model, 0)).tolist() == driven
+
+
+@pytest.mark.parametrize(
+    ("loads", "holds"),
+    [([[1.0, 1.0], [2.0, 2.0], [0.0, 2.0]], True), ([[1.0, 1.0]] * 3, False), ([[0.0, 2.0]] * 3, False)],
+)
+def test_a_cause_that_never_changes_goes_along_with_nothing(loads: list[list[float]], holds: bool) -> None:
+    runs = [SimpleNamespace(covariates={"payload_kg": np.array(load)}) for load in loads]
+    causes = SimpleNamespace(of_column=lambda _: SimpleNamespace(covariate="payload_kg"))
+    model = SimpleNamespace(source=SimpleNamespace(runs=runs), constraints=causes)
+    assert evidence.constant_in_most(model, 0) is holds
 
 
 def one_cold_run(cold: set[int], part: float = 1.0) -> Question:

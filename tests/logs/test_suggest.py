@@ -11,6 +11,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.errors import InputError
 from missionsim.importer.mapping import import_source
+from missionsim.importer.roles import words_of
 from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, read_log, read_logs
@@ -365,6 +366,8 @@ def test_units_of_a_load_and_of_the_air(tmp_path: Path) -> None:
     (log,) = suggested(tmp_path, tmp_path / "run.csv")
     near(log, "payload_kg", np.full(60, 5.0), 1e-6)
     near(log, "temp_ambient_c", (18.0 + np.arange(60) % 5) / 1.8, 1e-6)
+    # the front one and the rear one
+    assert words_of("motor_temp_f") == ("motor temp f", "")
 
 
 def test_a_turn_rate_by_two_wheels_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
