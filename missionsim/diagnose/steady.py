@@ -69,7 +69,6 @@ def steady_speed(run: Run) -> Run:
             total[:-shift] += alike * speed[shift:]
             count[:-shift] += alike
         speed = total / count
-        near /= np.sqrt(
-            2 * const.SPEED_ROWS + 1
-        )  # what the first pass leaves of the noise: ends of ramps stand out now
+        # what the first pass leaves of the noise: ends of ramps stand out now
+        near /= np.sqrt(2 * const.SPEED_ROWS + 1)
     return replace(run, columns={**run.columns, "speed_m_s": speed})
