@@ -17,6 +17,7 @@ import numpy as np
 
 from missionsim.identify import settings as const
 from missionsim.identify.align import CLOCK_STEPS, Clock, uphill
+from missionsim.identify.data import Layout
 from missionsim.identify.design import Design, Source
 from missionsim.physics import Array, Bools, Ints
 
@@ -76,14 +77,22 @@ class LeastSquares:
         rows = np.vstack([design.residual, design.gradient[:q], design.phi, np.ones_like(design.y), design.y])
         pieces = -(-const.FEWEST_FOLDS // len(design.runs)) if len(design.runs) < const.FEWEST_FOLDS - 2 else 1
         least = -(-const.FEWEST_FOLDS // (2 * len(design.runs)))
-        shows = shows_alone(design) if pieces == 1 else np.zeros(len(design.runs), dtype=bool)
+
+        @cache
+        def products(start: int, stop: int) -> Array:
+            part = slice(start, stop)
+            return np.asarray((rows[:, part] * design.duration_s[part]) @ rows[:, part].T)
+
+        shows = np.zeros(len(design.runs), dtype=bool)
+        if pieces == 1 and len(design.phi) == len(design.layout.columns):  # of some columns it is not asked
+            shows = shows_alone(design.layout, np.stack([products(run.start, run.stop) for run in design.runs]))
         folds: list[tuple[slice, int]] = []
         for number, run in enumerate(design.runs):
             length = float(design.duration_s[run].sum())
             count = max(least, min(const.STRETCHES if shows[number] else pieces, int(length // const.SHORTEST_FOLD_S)))
             edges = np.linspace(run.start, run.stop, count + 1).astype(int)
             folds += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
-        sums = np.stack([(rows[:, part] * design.duration_s[part]) @ rows[:, part].T for part, _ in folds])
+        sums = np.stack([products(part.start, part.stop) for part, _ in folds])
         seconds = np.array([float(design.duration_s[part].sum()) for part, _ in folds])
         return cls(sums, seconds, design.layout.prior_sd[:q], np.array([run for _, run in folds], dtype=np.intp))
 
@@ -257,18 +266,17 @@ class LeastSquares:
         return value
 
 
-def shows_alone(design: Design) -> Bools:
-    """Which runs tell two effects apart by what changes within them, more than all others together, shape (runs,).
+def shows_alone(layout: Layout, sums: Array) -> Bools:
+    """Which runs tell two effects apart by what changes within them, more than all others together, shape (runs,); of
+    their products as `LeastSquares` has them.
 
     A drive with and without the load on one floor is no draw of what runs are like: without it nothing is predicted.
     What changes within the others as well, as speed does, asks for no such drive.
     """
-    effect = np.array([column.candidate for column in design.layout.columns], dtype=np.intp)
-    if len(effect) != len(design.phi):  # of some columns it is not asked
-        return np.zeros(len(design.runs), dtype=bool)
-    rows = np.vstack([np.ones_like(design.y), design.gradient[: len(design.layout.parameters)], design.phi])
-    sums = np.stack([(rows[:, run] * design.duration_s[run]) @ rows[:, run].T for run in design.runs])
-    known = len(rows) - len(effect)
+    effect = np.array([column.candidate for column in layout.columns], dtype=np.intp)
+    known = 1 + len(layout.parameters)
+    order = np.r_[-2, 1 : known + len(effect)]  # one, base, columns
+    sums = sums[:, order[:, None], order]
     within, whole = (left_by_others(some, known) for some in (sums, sums.sum(axis=0)))
     total = np.diagonal(sums.sum(axis=0))[known:]
     changes = np.diagonal(within, axis1=1, axis2=2)
